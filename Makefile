@@ -75,7 +75,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "setting up .venv, one to some minutes: each package is named as it is fetched"
 	@begun=$$(date +%s); set -e; \
 	  test -x $(BIN)/python || $(PYTHON) -m venv .venv; \
-	  $(BIN)/python -m pip install --disable-pip-version-check --quiet $(PIP) || echo "without it"; \
+	  $(BIN)/python -m pip install --disable-pip-version-check --quiet $(PIP) || echo "pip stays as it is"; \
 	  $(BIN)/python -m pip install --disable-pip-version-check --progress-bar off \
 	    --constraint constraints.txt $(INSTALL) --editable '.[dev]'; \
 	  touch $(STAMP); echo ".venv is set up: $$(($$(date +%s) - begun)) s"

@@ -178,7 +178,7 @@ class EffectKind(ABC):
         return None
 
     def together(self, layout: Layout, sizes: Sequence[Vector]) -> Matrix | None:
-        """Change of the response by errors that act on one another, shape (n, m) [m/A].
+        """Change of the response by errors of all devices that act on one another, (n, m) [m/A].
 
         Args:
             layout: Devices and ring.

@@ -81,17 +81,31 @@ def green_with_gradient_errors(
             "give one finite value [1/m] per quadrupole, in the order of the places table"
         )
     kick = -gradient_errors if plane == "x" else gradient_errors
-    loop = np.eye(len(kick)) - green(ring, quadrupoles, quadrupoles, plane) * kick
-    from_sources = green(ring, quadrupoles, sources, plane)
+    own = green(ring, quadrupoles, quadrupoles, plane)
+    into, back = (
+        green(ring, quadrupoles, sources, plane),
+        green(ring, observers, quadrupoles, plane),
+    )
     try:
-        at_quadrupoles = np.linalg.solve(loop, from_sources)
+        added = in_thin_lenses(back, kick, own, into)
     except np.linalg.LinAlgError as error:
         raise RingError(
             "the gradient errors put the ring on an integer resonance, where no closed orbit "
             "exists; make them smaller"
         ) from error
-    back = green(ring, observers, quadrupoles, plane) * kick
-    return green(ring, observers, sources, plane) + back @ at_quadrupoles
+    return green(ring, observers, sources, plane) + added
+
+
+def in_thin_lenses(back: Matrix, strength: Vector, own: Matrix, into: Matrix) -> Matrix:
+    """Orbit that thin lenses make of the orbit in them and of what they add to it, (n, m).
+
+    Args:
+        back: Orbit per kick of every lens, shape (n, q).
+        strength: Kick per orbit in every lens, shape (q,).
+        own: Orbit in every lens per kick of every lens, shape (q, q).
+        into: Orbit in every lens without any of them, shape (q, m).
+    """
+    return (back * strength) @ np.linalg.solve(np.eye(len(strength)) - own * strength, into)
 
 
 def beta_beat(ring: Ring, observers: Places, plane: Plane, gradient_errors: Vector) -> Vector:

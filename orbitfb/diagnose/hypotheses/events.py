@@ -83,7 +83,7 @@ class _Strikes:
 
     def rows(self, members: Indices) -> tuple[Vector, Vector]:
         """Pull and information of some devices struck at one row alone, shape (T,) each."""
-        moves = self.moves[self.every[:, None], members]
+        moves = self.moves[np.ix_(self.every, members)]
         pull = np.einsum("td,td->t", moves, self.along[:, members])
         inner = moves @ self.gram[np.ix_(members, members)]
         return pull, np.einsum("td,td->t", inner, moves)

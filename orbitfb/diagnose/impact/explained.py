@@ -65,8 +65,9 @@ class Explained:
         for block, share in zip(space.blocks, space.shares, strict=True):
             if block.accepted or share > 1.0:
                 usual[block.columns] = 0.0
-        healthy = space.terms.contribution(usual) + space.bend_of(usual)
-        taken = _Taken(space, sizes, usual, space.bend_of(usual))
+        bend = space.bend_of(usual)
+        healthy = space.terms.contribution(usual) + bend
+        taken = _Taken(space, sizes, usual, bend)
         for number, part in enumerate(accepted):
             wave = wave_of(part, space)
             own = None if wave is None else wave.field

@@ -9,7 +9,7 @@ from orbitfb.effects.kicks import CALIBRATION, interpolation
 from orbitfb.effects.kinds import HEALTHY_CHANGE
 from orbitfb.effects.orbit_kinds import Courses
 from orbitfb.physics.effect import Effect
-from orbitfb.physics.optics import Matrix, green, green_with_gradient_errors
+from orbitfb.physics.optics import Matrix, green, green_with_gradient_errors, in_thin_lenses
 from orbitfb.physics.places import Indices, Ring, plane_row
 from orbitfb.records.layout import ChannelPlane, Layout
 
@@ -80,18 +80,6 @@ def response_change(layout: Layout, gradients: Sequence[Vector]) -> Matrix:
                 green(layout.known_ring, "QUAD", "QUAD", plane), layout.orbit_at("QUAD", plane),
             )  # fmt: skip
     return found
-
-
-def in_thin_lenses(back: Matrix, strength: Vector, own: Matrix, into: Matrix) -> Matrix:
-    """Orbit that thin lenses make of the orbit in them and of what they add to it, (n, m).
-
-    Args:
-        back: Orbit per kick of every lens, shape (n, q).
-        strength: Kick per orbit in every lens, shape (q,).
-        own: Orbit in every lens per kick of every lens, shape (q, q).
-        into: Orbit in every lens without any of them, shape (q, m).
-    """
-    return (back * strength) @ np.linalg.solve(np.eye(len(strength)) - own * strength, into)
 
 
 def gradient_scatters(layout: Layout) -> Vector:

@@ -12,13 +12,12 @@ from orbitfb.effects.optics.gradients import (
     focusing_scatters,
     gradient_kicks,
     gradient_scatters,
-    in_thin_lenses,
     nearest_bpms,
     response_change,
 )
 from orbitfb.effects.orbit_kinds import Courses, SourceKind
 from orbitfb.physics.effect import Effect
-from orbitfb.physics.optics import Matrix
+from orbitfb.physics.optics import Matrix, in_thin_lenses
 from orbitfb.physics.places import Indices
 from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
