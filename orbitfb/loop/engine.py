@@ -217,6 +217,7 @@ class Engine(Supervisor):
 
     def _write(self, work: Work, reading: Reading, limited: Limited) -> bool:
         before, mine = self.memory.setpoints, self._mine()
+        began = self._clock.monotonic()
         try:
             applied = self._machine.write(limited.setpoints, mine)
         except MachineError as error:
@@ -227,5 +228,5 @@ class Engine(Supervisor):
             work.done("act")
         sent = np.where(mine, applied.setpoints, before)
         lag = self._rules.interlocks.readback_lag
-        self.memory = work.remember_sent(sent, before, applied, self.memory, lag)
+        self.memory = work.remember_sent(sent, before, applied, began, self.memory, lag)
         return True

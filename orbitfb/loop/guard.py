@@ -18,7 +18,7 @@ Without = Callable[[Policy, Mask], Policy]
 """Makes of a policy one that does not move some correctors, shape (m,), the rest solved anew."""
 
 STRIKES = 3
-"""Decisions in a row that came too late before the baseline takes over for good."""
+"""Ticks in a row at which a policy is late before the baseline takes over for good."""
 _KEPT = 16
 
 
@@ -68,7 +68,7 @@ class Guard:
         slot: Where the policy in force lies.
         safeguards: What there is to fall back on.
         clock: Monotonic clock.
-        deadline: How long a decision may take [s].
+        deadline: How long a policy may take for a tick, to decide and to learn [s].
 
     Attributes:
         policy: The one that decides.
@@ -83,7 +83,7 @@ class Guard:
         self.obstacle, self._drive_limits = safeguards.obstacle, safeguards.drive_limits
         self._taken = slot.acting
         self._swaps: int = slot.swaps
-        self._late = 0
+        self._late, self._learning = 0, 0.0
         self._solved: dict[tuple[int, bytes], tuple[Policy, Policy]] = {}
         self.policy: Policy = self._taken
         self.alarm = ""
@@ -148,6 +148,8 @@ class Guard:
     def decide(self, checked: Checked, policy_state: Any, lost: Mask) -> Decision:
         """Ask the policy in force, and the baseline if that raises, is late or not finite.
 
+        A policy that decides in time but learns too long is late as well: the next orbit waits.
+
         Args:
             checked: The orbit error and what of it counts.
             policy_state: Of the policy in force.
@@ -169,15 +171,16 @@ class Guard:
         except Exception as error:  # a policy may raise anything: the baseline decides instead
             trouble = f"raised {type(error).__name__}: {error}"
         else:
-            took = self._clock.monotonic() - began
+            took, deadline = self._clock.monotonic() - began, self._deadline
+            whole, self._learning = took + self._learning, 0.0
             if not np.isfinite(change).all():
                 trouble = "asked for a change that is not finite"
-            elif took <= self._deadline:
-                self._late = 0
-                return Decision(change, after)
             else:
-                self._late += 1
-                trouble = f"took {took * 1e3:.3g} ms, longer than {self._deadline * 1e3:.3g} ms"
+                self._late = self._late + 1 if whole > deadline else 0
+                if took <= deadline and self._late < STRIKES:
+                    return Decision(change, after)
+                what = "to decide" if took > deadline else "to learn and decide"
+                trouble = f"took {whole * 1e3:.3g} ms {what}, longer than {deadline * 1e3:.3g} ms"
         alarm = f"policy {self.policy.policy_id} {trouble}: {fallback.policy_id} decides"
         state = fallback.initial_state()
         change, after = decide(self._leaving(fallback, lost), checked, state, len(lost))
@@ -206,8 +209,9 @@ class Guard:
             The state for the next decision.
         """
         policy, fallback = self.policy, self._fallback
+        began = self._clock.monotonic()
         try:
-            return inform(policy, checked.error, checked.valid, applied, policy_state, hertz)
+            after = inform(policy, checked.error, checked.valid, applied, policy_state, hertz)
         except Exception as error:  # a policy may raise anything: the baseline decides instead
             if fallback is None or policy is fallback:
                 raise
@@ -216,13 +220,16 @@ class Guard:
                 fallback, f"policy {policy.policy_id} {trouble}: {fallback.policy_id} decides"
             )
             return fallback.initial_state()
+        self._learning = self._clock.monotonic() - began
+        return after
 
     def tripped(self) -> None:
         """Let the policy in force forget what it learnt shortly before the loop tripped."""
         take_back(self.policy)
 
     def _use(self, policy: Policy, alarm: str) -> None:
-        self.policy, self.alarm, self._late = policy, alarm, 0
+        self.policy, self.alarm = policy, alarm
+        self._late, self._learning = 0, 0.0
         self._solved.clear()
 
     def _leaving(self, policy: Policy, lost: Mask) -> Policy:

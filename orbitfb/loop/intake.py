@@ -35,10 +35,13 @@ def await_orbit(
     pace: Pace,
     period: float,
     stop: threading.Event,
+    sent: float = -math.inf,
 ) -> Intake:
     """Read until an orbit is due, passing over those that come faster than the loop ticks.
 
-    The wait is cut into slices, so that a slow loop still stops at once.
+    One that was complete before the last change began to leave cannot know of it: a loop that is
+    slower than its orbits would correct one error twice. It is passed over, too, and counts as
+    missed. The wait is cut into slices, so that a slow loop still stops at once.
 
     Args:
         machine: To read.
@@ -47,6 +50,7 @@ def await_orbit(
         pace: Stream of orbits so far.
         period: Of the loop [s].
         stop: Ends the wait early.
+        sent: When the last change began to leave, monotonic [s].
     """
     end = clock.monotonic() + patience
     slices = math.ceil(patience / _SLICE)
@@ -63,5 +67,5 @@ def await_orbit(
             told = filter(None, (str(error) or type(error).__name__, slower(pace, period)))
             return Intake(None, "; ".join(told), pace)
         is_due, pace = see(reading.orbit.time, pace, period)
-        if is_due:
+        if is_due and reading.received >= sent:
             return Intake(reading, "", pace)

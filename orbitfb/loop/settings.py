@@ -28,7 +28,8 @@ class LoopSettings(Settings):
     policy_deadline: float = Field(
         default=1.0,
         gt=0,
-        description="Periods that a policy may take to decide; else the baseline decides.",
+        description="Periods that a policy may take to learn from an orbit and decide on the next; "
+        "else the baseline decides.",
     )
     proving: int = Field(
         default=3, ge=1, description="Good orbits in a row before a held loop closes again."

@@ -104,7 +104,10 @@ class Supervisor:
         patience = loop.patience
         if memory.state is LoopState.CLOSED:
             patience -= self._clock.monotonic() - memory.fresh
-        return await_orbit(self._machine, self._clock, patience, memory.pace, loop.period, stop)
+        sent = memory.sent.began
+        return await_orbit(
+            self._machine, self._clock, patience, memory.pace, loop.period, stop, sent
+        )
 
     def take_policy(self) -> None:
         """Take the policy in force, with its initial state if it is a new one."""

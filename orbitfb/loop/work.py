@@ -56,7 +56,13 @@ class Work:
         return now
 
     def remember_sent(
-        self, setpoints: Vector, before: Vector, applied: Applied, memory: LoopMemory, lag: int
+        self,
+        setpoints: Vector,
+        before: Vector,
+        applied: Applied,
+        began: float,
+        memory: LoopMemory,
+        lag: int,
     ) -> LoopMemory:
         """Enter what was sent, here and for the readbacks to come.
 
@@ -64,6 +70,7 @@ class Work:
             setpoints: In force now, shape (m,) [A].
             before: In force before anything was sent in this tick, shape (m,) [A].
             applied: What the machine says of the last write.
+            began: When that write began, monotonic [s].
             memory: So far.
             lag: Earlier setpoints that a readback may still show; those of the same tick are none.
         """
@@ -74,7 +81,7 @@ class Work:
         if self.reading is not None:
             self.latency = applied.monotonic - self.reading.received
         earlier = memory.recent[1:] if again else memory.recent[:lag]
-        sent = replace(memory.sent, change=self.applied, waited=0)
+        sent = replace(memory.sent, change=self.applied, waited=0, began=began)
         return replace(memory, recent=(setpoints, *earlier), sent=sent)
 
     def phases(self) -> Phases:

@@ -14,6 +14,7 @@ loop would correct each error several times and drive the orbit away. So there i
 unless the orbit shows that the change has acted: then only the readbacks are slow.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,12 +46,14 @@ class Sent:
             where it is usual: nothing is waited for before a change was seen in time.
         waited: Orbits that were waited at for this change.
         prompt: Whether changes were in time once, as a rule.
+        began: When the first of it was sent, monotonic [s].
     """
 
     change: Vector | None = None
     late: float = RARE
     waited: int = 0
     prompt: bool = False
+    began: float = -math.inf
 
 
 def arrived(
@@ -76,7 +79,7 @@ def arrived(
     # Each change counts once, when it is looked for first.
     share = sent.late if sent.waited else sent.late + _SMOOTHING * (late - sent.late)
     change, waited = sent.change if late else None, sent.waited + 1 if waits else 0
-    after = Sent(change, share, waited, sent.prompt or share < PROMPT)
+    after = Sent(change, share, waited, sent.prompt or share < PROMPT, sent.began)
     return (part if waits else None), after
 
 

@@ -32,11 +32,24 @@ FAULTS = (
         ),
     ),
     Fault(
-        "the policy decides too late",
-        "The baseline decides at this tick. After three late decisions in a row it keeps deciding.",
+        "the policy decides too late, or it takes too long to learn and decide",
+        "If it decides too late, the baseline decides at this tick. After three late ticks in a "
+        "row the baseline keeps deciding.",
         (_CLOSED,),
         ("loop.policy_deadline",),
-        ("test_a_slow_policy_is_put_aside_after_three_strikes",),
+        (
+            "test_a_slow_policy_is_put_aside_after_three_strikes",
+            "test_a_policy_that_learns_too_long_is_put_aside_after_three_ticks",
+        ),
+    ),
+    Fault(
+        "the computer is slower than the orbits, so that the next one comes before the change "
+        "for the last one has left",
+        "Such an orbit does not know of the change. It is passed over and counted as missed, so "
+        "that no error is corrected twice.",
+        (_CLOSED,),
+        (),
+        ("test_an_orbit_that_came_before_the_last_change_left_is_passed_over",),
     ),
     Fault(
         "PVs come from another server than before, such as a test IOC with the same names",

@@ -62,6 +62,7 @@ class Carrying:
         if not limited.verdict.may_act or cut > tolerance_of(rules.interlocks):
             most = f"a setpoint may change by {rules.limits.change_per_tick:g} A in a tick"
             raise WriteError(f"nothing was sent: {limited.verdict.reason or most}")
+        began = self._work.clock.monotonic()
         try:
             applied = self._machine.write(setpoints, which)
         except MachineError:
@@ -71,7 +72,7 @@ class Carrying:
             self._work.done("act")
         sent, lag = np.where(which, applied.setpoints, before), rules.interlocks.readback_lag
         work = self._work
-        self.memory = work.remember_sent(sent, work.setpoints, applied, self.memory, lag)
+        self.memory = work.remember_sent(sent, work.setpoints, applied, began, self.memory, lag)
         work.requested = work.applied
         return applied
 

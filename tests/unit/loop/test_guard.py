@@ -111,6 +111,8 @@ class Pupil(Bad):
     def inform(self, error, valid, applied, state):
         if self.kind == "deaf":
             raise FloatingPointError("no number")
+        if self.kind == "ponders":
+            self.clock.advance(0.11)
         self.told.append((error, valid, applied))
         return state
 
@@ -168,6 +170,21 @@ def test_a_slow_policy_is_put_aside_after_three_strikes():
     for _ in range(6):
         record = bench.runner.step()
     assert record.policy_id == "baseline"
+
+
+def test_a_policy_that_learns_too_long_is_put_aside_after_three_ticks():
+    bench = Bench(hold_after=3.0)
+    pupil = Pupil(bench.clock)
+    bench.slot.swap(pupil)
+    bench.steps(30)
+    pupil.kind = "ponders"
+    for _ in range(3):
+        record = bench.runner.step()
+        assert record.policy_id == "pupil" and not record.reason
+    record = bench.runner.step()
+    assert record.policy_id == "baseline"
+    assert "policy pupil took 110 ms to learn and decide, longer than 100 ms" in record.reason
+    assert bench.steps(20).state is LoopState.CLOSED
 
 
 def test_a_machine_that_must_not_be_written_to_keeps_the_loop_from_closing():

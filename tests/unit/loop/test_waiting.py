@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scripted import PERIOD, RESPONSE, InversePolicy, M, N, ScriptedMachine, new_clock
 
-from orbitfb.core.signals import Applied, LoopState
+from orbitfb.core.signals import Applied, LoopState, Orbit, Reading
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
@@ -72,6 +72,57 @@ def loop():
     assert not any(record.held_back for record in records)
     assert sum(np.isfinite(record.written) for record in records) == len(machine.writes) == 58
     return machine, runner
+
+
+class Beating(ScriptedMachine):
+    """A machine whose orbits come at their own pace, and wait while the loop is busy."""
+
+    def __init__(self):
+        super().__init__(new_clock())
+        self.history, self.given = [(self.clock.monotonic(), self.inside)], 0
+
+    def read(self, timeout):
+        start = self.history[0][0]
+        newest = int((self.clock.monotonic() - start) / PERIOD + 1e-6)
+        self.given = max(newest, self.given + 1)
+        taken = start + self.given * PERIOD
+        self.clock.advance(max(0.0, taken - self.clock.monotonic()))
+        inside = [setpoints for since, setpoints in self.history if since <= taken + 1e-9][-1]
+        noise = 1e-9 * self._random.standard_normal(N)
+        position = RESPONSE @ inside + self.disturbance + noise
+        late = self.clock.monotonic() - taken
+        orbit = Orbit(position, np.ones(N, dtype=bool), self.clock.wall() - late)
+        return Reading(orbit, inside.copy(), {"current": self.current}, taken)
+
+    def write(self, setpoints, which=None):
+        applied = super().write(setpoints, which)
+        self.history.append((self.clock.monotonic(), self.inside.copy()))
+        return applied
+
+
+class Busy(InversePolicy):
+    """Takes so long that the next orbit comes before it has decided."""
+
+    def __init__(self, clock, takes):
+        super().__init__(gain=0.9)
+        self.clock, self.takes = clock, takes
+
+    def act(self, error, valid, state):
+        self.clock.advance(self.takes)
+        return super().act(error, valid, state)
+
+
+@pytest.mark.parametrize(("takes", "missed"), [(0.02, 0), (0.15, 1), (0.18, 1)])
+def test_an_orbit_that_came_before_the_last_change_left_is_passed_over(takes, missed):
+    machine = Beating()
+    runner = at_rest(machine, Busy(machine.clock, takes))
+    machine.disturbance = correctable(2.0)
+    records = [runner.step() for _ in range(12)]
+    first = next(i for i, record in enumerate(records) if np.isfinite(record.written))
+    errors = [rms(record) for record in records[first : first + 4]]
+    np.testing.assert_allclose(errors[1:], errors[0] * 0.1 ** np.arange(1, 4), rtol=0.05)
+    assert not any(record.held_back for record in records)
+    assert [record.missed for record in records[first + 1 :]] == [missed] * (11 - first)
 
 
 def correctable(scale):
