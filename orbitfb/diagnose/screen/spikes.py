@@ -5,6 +5,7 @@ mean of its neighbours, less what the model says of them, stands for it. More th
 spikes but noise with tails, which is an effect; one that many BPMs share is motion of the beam.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -21,8 +22,10 @@ FAR = 15.0
 chance (e^−112), and beyond what the tails of noise that are an effect have as a rule."""
 
 LONE = 1e-3
-"""Share of its readings that may be spikes of a BPM [1], but one in any case. By hand: noise with
-tails, which is an effect, has ten times as many."""
+"""Share of its readings that are spikes of a BPM by nature, at most [1]. By hand."""
+
+TAILS = 1e-2
+"""The same for noise with tails, which is an effect [1]. By hand."""
 
 SHARED = 0.05
 """Share of the BPMs at which one row may have spikes [1], but one in any case. By hand: what moves
@@ -91,5 +94,16 @@ def _spikes(away: Matrix, left: Matrix, record: Record) -> Mask:
     far &= jump < ALONE * np.abs(away)
     few = far.sum(axis=1) <= max(1.0, SHARED * far.shape[1])
     far &= few[:, None]
-    lone: Mask = far & (far.sum(axis=0) <= max(1.0, LONE * len(far)))
+    lone: Mask = far & (far.sum(axis=0) <= most_lone(len(far)))
     return lone
+
+
+def most_lone(rows: int) -> float:
+    """Number of spikes of a BPM up to which lone ones are likelier than noise with tails.
+
+    Both are Poisson numbers: k ln(TAILS/LONE) < (TAILS − LONE) rows. One is lone in any case.
+
+    Args:
+        rows: Of the record.
+    """
+    return max(1.0, (TAILS - LONE) * rows / math.log(TAILS / LONE))

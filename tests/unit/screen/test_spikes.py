@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.stats import poisson
 
-from orbitfb.diagnose.screen.spikes import without_spikes
+from orbitfb.diagnose.screen.spikes import LONE, TAILS, most_lone, without_spikes
 from tests.unit.hypotheses.small_records import make_record
 
 
@@ -56,3 +57,17 @@ def test_what_many_bpms_see_is_motion_of_the_beam(record):
 def test_many_spikes_are_noise_with_tails(record):
     record.readings[20:500:16, 3] += 50e-6
     assert not without_spikes(record)[1]
+
+
+@pytest.mark.parametrize("rows", [300, 900, 3000])
+def test_the_likelier_of_lone_spikes_and_noise_with_tails_is_believed(rows):
+    most = most_lone(rows)
+    fewer, more = int(most), int(most) + 1
+    lone, tails = poisson(LONE * rows), poisson(TAILS * rows)
+    assert fewer == 1 or lone.pmf(fewer) > tails.pmf(fewer)
+    assert tails.pmf(more) > lone.pmf(more)
+
+
+def test_two_spikes_of_a_bpm_are_lone_in_a_record_of_some_length(record):
+    record.readings[[50, 300], 3] += 50e-6
+    assert without_spikes(record)[0].filled[[50, 300], 3].all()
