@@ -1,13 +1,13 @@
-"""Masked BPMs under a law that needs all of them: gaps are filled in, and nothing moves unseen.
+"""Masked BPMs: gaps are filled in, and nothing moves unseen.
 
 Given the readings e_v of the valid BPMs, those of the masked ones are expected to be
 
-    E[e_w | e_v] = C_wv C_vv⁻¹ e_v,   C = c (R Rᵀ + f t I),   t = tr(R Rᵀ) / n,
+    E[e_w | e_v] = C_wv C_vv⁻¹ e_v,   C = c (R Rᵀ + f diag(R Rᵀ)),
 
 the conditional mean of a normal orbit with covariance C. R Rᵀ is the covariance of orbits that
 independent kicks at the correctors make; kicks of the quadrupoles give nearly the same. The
 floor f stands for what no corrector makes, reading noise above all, and keeps the inverse well
-conditioned.
+conditioned. It is a share of each BPM's own variance, so that planes do not mix.
 
 A change that answers such an orbit has a part of which the valid BPMs see nothing: it moves the
 orbit at the masked ones alone. Nothing corrects that part, and tick by tick the noise adds to it.
@@ -83,8 +83,9 @@ class Infill:
     def _matrix(self, valid: Mask) -> Vector:
         """Give C_wv C_vv⁻¹, shape (masked, valid)."""
         known = self._response[valid]
-        scale = float(np.mean(np.sum(self._response**2, axis=1)))
-        among = known @ known.T + self._floor * scale * np.eye(len(known))
+        among = known @ known.T
+        own = np.diag(among)
+        among += np.diag(np.where(own > 0.0, self._floor * own, 1.0))  # one that nothing moves: any
         across = known @ self._response[~valid].T
         return np.asarray(np.linalg.solve(among, across).T, dtype=np.float64)
 

@@ -1,7 +1,6 @@
 """Masks: how every policy works on without some BPMs or some correctors.
 
-**BPMs.** A law that is linear in the response drops the rows of the masked BPMs and is solved
-again. A law that is not, or that needs whole modes, fills the gaps in (`policies.infill`).
+**BPMs.** Masked BPMs read what the valid ones let expect (`policies.infill`).
 
 **Correctors.** A masked corrector does not move, and what it was asked to do is handed to the
 others by least squares: with M the masked and F the free ones, H = RᵀR + λ² I + n P,

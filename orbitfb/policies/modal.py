@@ -36,6 +36,7 @@ from orbitfb.core.errors import ConfigError, RingError
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.policies.blocks import Plane, PlaneDamping, damping_of
+from orbitfb.policies.infill import NOISY, Infill
 from orbitfb.policies.inverse import (
     checked_covariance,
     checked_response,
@@ -43,7 +44,6 @@ from orbitfb.policies.inverse import (
     frozen,
     regularised_inverse,
 )
-from orbitfb.policies.recent import Recent
 
 _ORTHONORMAL = 1e-6
 
@@ -87,8 +87,8 @@ class ModalSettings(Settings):
 class ModalPolicy:
     """Correct every mode with the gain that its signal and its noise call for.
 
-    Without some BPMs the law is made anew for the others. There is no state, and the tensors are
-    copied and read-only, so a policy can be shared between threads.
+    Masked BPMs read what the valid ones let expect (`policies.infill`). There is no state, and the
+    tensors are copied and read-only, so a policy can be shared between threads.
 
     Args:
         response: R, shape (n, m) [m/A].
@@ -160,7 +160,7 @@ class ModalPolicy:
         self._back = frozen(np.where(bent, far - near, 0.0) * units) if two_scales else None
         self._linear = not bent.any()
         self.gain_matrix = frozen(slopes @ self.modes.T)
-        self._without: Recent[ModalPolicy] = Recent(self._of)
+        self._infill = Infill(self.response, NOISY)
 
     @property
     def policy_id(self) -> str:
@@ -182,18 +182,21 @@ class ModalPolicy:
         Returns:
             The change of setpoints, shape (m,) [A], and no state.
         """
-        if np.count_nonzero(valid) != len(valid):  # a third of the time of valid.all()
-            if not valid.any():
-                return np.zeros(self.response.shape[1]), None
-            return self._without.get(valid).act(error[valid], valid[valid], None)
+        if np.count_nonzero(valid) == len(valid):  # a third of the time of valid.all()
+            return self._change(error), None
+        filled = self._infill.fill(error, valid)
+        return self._infill.least(self._change(filled), valid), None
+
+    def _change(self, error: Vector) -> Vector:
+        """Decide with every BPM, shape (m,) [A]."""
         if self._linear:
-            return -self.gain_matrix.dot(error), None
+            return -self.gain_matrix.dot(error)
         amplitudes = self._inward.dot(error)
         bent = np.tanh(amplitudes)
         if self._back is not None:
-            return self._outward.dot(amplitudes) + self._back.dot(bent), None
+            return self._outward.dot(amplitudes) + self._back.dot(bent)
         amplitudes -= self._bend * bent
-        return self._outward.dot(amplitudes), None
+        return self._outward.dot(amplitudes)
 
     def changes(self, errors: Vector) -> Vector:
         """Decide on many orbits at once, all BPMs valid.
@@ -212,21 +215,6 @@ class ModalPolicy:
             return amplitudes @ self._outward.T + bent @ self._back.T
         amplitudes -= self._bend * bent
         return amplitudes @ self._outward.T
-
-    def _of(self, valid: Mask) -> "ModalPolicy":
-        """Make the law of some of the BPMs: a mode of theirs has the gains of those it is made of.
-
-        Args:
-            valid: They, shape (n,).
-        """
-        response = self.response[valid]
-        modes = left_modes(response)
-        alike = (self.modes[valid].T @ modes) ** 2  # of mode i in mode j
-        gains = np.clip(self.gains @ alike / alike.sum(axis=0), 0.0, 1.0)
-        thresholds = self.thresholds[np.argmax(alike, axis=0)]
-        return ModalPolicy(
-            response, self.settings, modes, gains, thresholds, self.covariance, self.policy_id
-        )
 
     def _near_inverse(self) -> Vector:
         share, strength = self.settings.near_caution, self.damping

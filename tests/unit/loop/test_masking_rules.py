@@ -15,6 +15,14 @@ valids = st.lists(st.booleans(), min_size=N, max_size=N).map(np.array)
 errors = st.lists(st.floats(-1e-3, 1e-3), min_size=N, max_size=N).map(np.array)
 
 
+def radius(policy, valid):
+    """Largest factor of the orbit at the valid BPMs from tick to tick."""
+    units = np.eye(N)[valid]
+    changes = np.array([policy.act(unit, valid, policy.initial_state())[0] for unit in units])
+    step = np.eye(len(units)) + RESPONSE[valid] @ changes.T
+    return np.abs(np.linalg.eigvals(step)).max()
+
+
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(lost=masks, valid=valids, error=errors, again=masks)
 def test_any_correctors_and_bpms_may_be_missing(lost, valid, error, again):
@@ -24,8 +32,7 @@ def test_any_correctors_and_bpms_may_be_missing(lost, valid, error, again):
     seen = np.where(valid, error, 0.0)
     change, _ = policy.act(seen, valid, policy.initial_state())
     assert np.isfinite(change).all() and not change[lost].any()
-    left = (seen + RESPONSE @ change)[valid]
-    assert np.linalg.norm(left) <= np.linalg.norm(seen) * (1 + 1e-9)  # never a worse orbit
+    assert radius(policy, valid) <= 1.0 + 1e-9  # no part of the orbit grows tick by tick
     both = lost | again
     if not both.all():  # in any order
         twice = without(without(POLICY, lost), again)

@@ -35,7 +35,7 @@ def test_what_is_filled_in_is_the_best_linear_guess():
     """Over orbits drawn from the prior no other weights do better on average."""
     response, rng = make_response(1, 6, 4), np.random.default_rng(3)
     floor = 0.05
-    white = np.sqrt(floor * np.mean(np.sum(response**2, axis=1)))
+    white = np.sqrt(floor * np.sum(response**2, axis=1))
     orbits = rng.normal(size=(40_000, 4)) @ response.T + white * rng.normal(size=(40_000, 6))
     valid = np.array([True, True, False, True, True, True])
     weights = np.array(
@@ -44,6 +44,15 @@ def test_what_is_filled_in_is_the_best_linear_guess():
     regression = np.linalg.lstsq(orbits[:, valid], orbits[:, 2], rcond=None)[0]
     np.testing.assert_allclose(weights[valid], regression, atol=0.03)
     assert weights[2] == 0.0
+
+
+def test_a_bpm_that_nothing_moves_says_nothing_of_the_masked_ones():
+    response = make_response(1, 6, 4)
+    response[1] = 0.0
+    error, valid = 1e-4 * np.arange(1.0, 7.0), np.arange(6) != 2
+    filled = Infill(response).fill(error, valid)
+    alone = Infill(np.delete(response, 1, axis=0)).fill(np.delete(error, 1), np.delete(valid, 1))
+    np.testing.assert_allclose(np.delete(filled, 1), alone, rtol=1e-9)
 
 
 def test_with_nothing_valid_nothing_is_expected():
@@ -108,15 +117,15 @@ def test_a_law_that_is_not_linear_hands_its_effect_on():
 
 
 def test_masks_of_bpms_and_correctors_go_together():
-    response = make_response()
-    masked = MaskedPolicy(
-        SvdPolicy(response, SvdSettings(gain=1.0)), response, movable := np.arange(9) > 1
-    )
+    """The valid BPMs are moved as far as the free correctors can move them like the law inside."""
+    response, movable = make_response(), np.arange(9) > 1
+    inside = SvdPolicy(response, SvdSettings(gain=1.0, regularisation=0.0))
     valid = np.arange(12) != 3
-    error = 1e-4 * np.random.default_rng(5).normal(size=12)
-    without = SvdPolicy(response[valid][:, movable], SvdSettings(gain=1.0))
-    change = act(masked, np.where(valid, error, np.nan), valid)
-    np.testing.assert_allclose(change[movable], act(without, error[valid]), rtol=1e-5)
+    error = np.where(valid, 1e-4 * np.random.default_rng(5).normal(size=12), np.nan)
+    change = act(MaskedPolicy(inside, response, movable), error, valid)
+    asked, free = response[valid] @ act(inside, error, valid), response[valid][:, movable]
+    assert not change[~movable].any()
+    np.testing.assert_allclose(change[movable], np.linalg.lstsq(free, asked)[0], rtol=1e-6)
 
 
 def test_an_ill_posed_hand_over_has_the_smallest_answer():

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orbitfb.core.errors import ConfigError, RingError
+from orbitfb.policies.infill import NOISY
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 LAMBDA = 70e-6
@@ -69,7 +70,16 @@ def test_the_cut_is_the_pseudo_inverse_of_the_best_approximation_of_that_rank():
     )
 
 
-def test_masked_bpms_are_taken_out_of_the_equations():
+def filled(response, error, valid):
+    """Give masked BPMs what the likeliest kicks of the correctors do there: kicks, not orbits."""
+    known = response[valid]
+    exact = known.T / (NOISY * np.sum(known**2, axis=1))  # over the variance that is no kick's
+    kicks = np.linalg.solve(exact @ known + np.eye(response.shape[1]), exact @ error[valid])
+    return np.where(valid, error, response @ kicks)
+
+
+def test_masked_bpms_count_as_the_valid_ones_let_expect():
+    """Nine correctors move every valid BPM as they like, so nothing is taken off the change."""
     response = make_response()
     error = 1e-4 * np.random.default_rng(5).normal(size=12)
     policy = SvdPolicy(response, SvdSettings(gain=1.0))
@@ -77,10 +87,11 @@ def test_masked_bpms_are_taken_out_of_the_equations():
     valid[[2, 7]] = False
     error[~valid] = np.nan
     change, _ = act(policy, error, valid)
-    np.testing.assert_allclose(change, tikhonov(response[valid], error[valid], LAMBDA), rtol=1e-8)
+    expected = tikhonov(response, filled(response, error, valid), LAMBDA)
+    np.testing.assert_allclose(change, expected, rtol=1e-8)
 
 
-def test_many_masks_each_get_their_own_law():
+def test_many_masks_each_get_their_own_answer():
     response = make_response()
     policy = SvdPolicy(response, SvdSettings(gain=1.0))
     error = 1e-4 * np.ones(12)
@@ -88,8 +99,18 @@ def test_many_masks_each_get_their_own_law():
         for masked in range(12):
             valid = np.arange(12) != masked
             change, _ = act(policy, error, valid)
-            expected = tikhonov(response[valid], error[valid], LAMBDA)
+            expected = tikhonov(response, filled(response, error, valid), LAMBDA)
             np.testing.assert_allclose(change, expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("masked", [1, 5, 8])
+def test_the_change_is_the_least_that_does_it_where_bpms_are_fewer_than_correctors(masked):
+    response = make_response(3, 12, 12)
+    policy = SvdPolicy(response, SvdSettings(gain=1.0, regularisation=0.0))
+    error = response @ np.random.default_rng(2).normal(size=12)
+    valid = np.arange(12) >= masked
+    change, _ = act(policy, error, valid)
+    np.testing.assert_allclose(change, np.linalg.pinv(response[valid]) @ -error[valid], rtol=1e-6)
 
 
 def test_with_no_valid_bpm_nothing_is_changed():
