@@ -89,6 +89,7 @@ SIZES: dict[str, Values] = {
     "noise-level": {"factor": 2.0},
     "noise-tails": {"probability": 0.01, "amplitude": 3e-6},
     "optics-drift": {"rate": 3e-4},
+    "orbit-lengthening": {"share": 18.0},
     "periodic-disturbance": {"cosine": 3e-8, "sine": -2e-8, "frequency": 0.737},
     "quadrupole-gradient": {"gradient": 0.005},
     "sextupole": {"strength": 60.0},
@@ -98,7 +99,8 @@ SIZES: dict[str, Values] = {
     "tune-drift": {"rate_x": 5e-5, "rate_y": 0.0},
     "tune-shift": {"dnu_x": 0.005, "dnu_y": 0.0},
 }
-"""Sizes that 1000 ticks show clearly; the limit of a saturation is taken from a quiet record."""
+"""Sizes that 1000 ticks show clearly, but that of `orbit-lengthening`, which takes larger orbits;
+the limit of a saturation is taken from a quiet record."""
 
 
 @dataclass(frozen=True, slots=True)

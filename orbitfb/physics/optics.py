@@ -136,6 +136,24 @@ def energy_orbit(ring: Ring, observers: Places, deviation: float) -> Vector:
     return ring.table.dispersion[indices(ring, observers, "x")] * deviation
 
 
+def angles_around(s: Vector, orbit: Matrix, circumference: float) -> Matrix:
+    """Angle of an orbit from place to place, times the root of their distance.
+
+    Its squares add up to ∮ x′² ds, twice the length that the orbit adds to the ring's.
+
+    Args:
+        s: Of the places around the ring, rising, shape (k,) [m].
+        orbit: There, shape (k, ...) [m], of orbits or of the response.
+        circumference: Of the ring [m].
+
+    Returns:
+        Shape (k, ...) [m^½].
+    """
+    distance = np.diff(s, append=s[0] + circumference)
+    steps = np.roll(orbit, -1, axis=0) - orbit
+    return steps / np.sqrt(distance).reshape(-1, *(1,) * (orbit.ndim - 1))
+
+
 def rf_orbit(ring: Ring, observers: Places, frequency_change: float) -> Vector:
     """Horizontal orbit of a change of the RF frequency: −η Δf / (α_c f).
 

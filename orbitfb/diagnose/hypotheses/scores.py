@@ -107,7 +107,7 @@ class Scorer(Weighed):
             columns = [
                 np.arange(block.columns.start, block.columns.stop)
                 for block in self.space.blocks
-                if block.kind.target == target
+                if block.of_devices(target)
             ]
             chosen = np.concatenate(columns) if columns else np.zeros(0, np.intp)
             chosen = chosen[self.errors.variance[chosen] > 0.0]
@@ -150,7 +150,7 @@ class Scorer(Weighed):
         terms = self.space.terms
         for block in self.space.blocks:
             variance = self.errors.variance[block.columns]
-            if block.kind.target != target or block.accepted or not np.any(variance):
+            if not block.of_devices(target) or block.accepted or not np.any(variance):
                 continue
             spectrum = terms.spectrum[:, block.columns]
             return OwnError(

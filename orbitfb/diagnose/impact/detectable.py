@@ -125,7 +125,7 @@ def _beside_healthy(
     seen, transform, errors = scorer.seen(law.patterns[0]), scorer.space.transform, scorer.errors
     for block in scorer.space.blocks:
         variance = errors.variance[block.columns]
-        if block.kind.target != kind.target or block.accepted or not np.any(variance):
+        if not block.of_devices(kind.target) or block.accepted or not np.any(variance):
             continue
         own = scorer.space.terms.spectrum[:, block.columns]
         cross = np.einsum("bd,bd->d", seen.own, transform.by_band(spectrum * own))

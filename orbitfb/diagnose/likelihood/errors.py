@@ -36,6 +36,10 @@ class ErrorBlock:
     limit: Vector
     accepted: bool = False
 
+    def of_devices(self, target: str) -> bool:
+        """Whether it is an error of the devices that a target names; the ring as such has none."""
+        return self.kind.target == target != "ring"
+
     def unit(self, signals: Signals) -> tuple[Matrix, ...]:
         """Courses of an error of one, one for every plane, shape (N, D) each."""
         return unit_courses(self.kind, self.law, signals)

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 
 from orbitfb.core.errors import RingError
 from orbitfb.physics.optics import (
+    angles_around,
     beta_beat,
     energy_orbit,
     green,
@@ -105,6 +106,25 @@ def test_an_rf_change_makes_the_dispersion_orbit(tracked):
     # a longer turn is a lower frequency
     change = -tracked.ring.rf_frequency * lengthening / tracked.ring.parameters.circumference
     assert relative(rf_orbit(tracked.ring, "BPM", change), orbit) < 1e-6
+
+
+@pytest.mark.parametrize(("plane", "close"), [("x", 0.05), ("y", 1e-4)])
+def test_an_orbit_lowers_the_energy_by_its_length_as_in_tracking(tracked, plane, close):
+    """Kicks of both signs leave what is of second order; horizontally bends add to it."""
+    ring, row = tracked.ring, "xy".index(plane)
+    kicks = 2e-4 * np.random.default_rng(3).standard_normal(CORRECTORS)
+    even = -tracked.orbit()[0]
+    for sign in (1.0, -1.0):
+        for corrector, kick in enumerate(sign * kicks):
+            tracked.kick(corrector, *(kick if one == row else 0.0 for one in range(2)))
+        even += 0.5 * tracked.orbit()[0]
+    s, places = np.unique(ring.table.s, return_index=True)
+    around = ring.parameters.circumference
+    angles = angles_around(s, green(ring, places, "COR", plane) @ kicks, around)
+    lower = energy_orbit(ring, "BPM", -0.5 * np.sum(angles**2) / (ring.parameters.alpha_c * around))
+    assert even @ lower / (lower @ lower) == pytest.approx(1.0, rel=close)
+    if plane == "y":
+        assert relative(lower, even) < close
 
 
 @pytest.mark.parametrize("seed", range(3))
