@@ -117,40 +117,61 @@ class Workspace:
             EstimationError: The record is too short, or does not move.
         """
         transform = StepTransform.of(record.starts, bands, exact)
+        ground = ground_shapes(record.layout)
+        space = cls.begun(record, kinds, transform, ground)
+        noise, moments = space.noise, Moments.of(space.plain, transform)
+        first, weights = fit_shapes(noise, moments, ground, space.held, rounds=AGAIN)
+        space = replace(space, noise=first, known=Known.nothing(first), weights=weights)
+        if reference is not None:
+            blocks = wider(space.blocks, reference.blocks, reference.shares, reference.errors)
+            worth = float(len(reference.transform))
+            space = replace(space, blocks=blocks, reference=reference, trust=worth)
+        return space.with_floor(AT_FIRST).refined(kinds).with_floor()
+
+    @classmethod
+    def begun(
+        cls,
+        record: Record,
+        kinds: Sequence[EffectKind],
+        transform: StepTransform,
+        ground: Shapes,
+    ) -> "Workspace":
+        """Lay out a record with the first noise that its steps show, and without any error.
+
+        Args:
+            record: In question.
+            kinds: Effects that are tested.
+            transform: Of its steps.
+            ground: Shapes that the walk may have.
+
+        Raises:
+            EstimationError: The record is too short, or does not move.
+        """
         modelled = record.setpoints @ record.layout.response.T
         residual = record.readings - modelled
-        ground = ground_shapes(record.layout)
         noise = first_noise(transform.steps(residual), ground.broad[0])
         orbit = predicted(residual, noise, transform) + modelled
         signals = Signals(record, record.setpoints, orbit)
         terms, blocks = healthy_errors(kinds, signals, transform)
-        if reference is not None:
-            blocks = wider(blocks, reference.blocks, reference.shares, reference.errors)
         plain = transform.spectrum(residual)
-        first, weights = fit_shapes(
-            noise, Moments.of(plain, transform), ground, np.zeros_like(noise.walk), rounds=AGAIN
-        )
-        space = cls(
+        return cls(
             signals,
             transform,
             plain,
-            np.zeros_like(plain),
-            np.zeros_like(plain),
-            first,
-            noise.walk,
-            np.zeros_like(noise.walk),
-            terms,
-            blocks,
-            Known.nothing(first),
-            (0.0,) * len(blocks),
-            np.zeros(len(terms)),
-            Courses(signals, transform),
-            ground,
-            weights,
-            reference,
-            trust=0.0 if reference is None else float(len(reference.transform)),
+            explained=np.zeros_like(plain),
+            bend=np.zeros_like(plain),
+            noise=noise,
+            shape=noise.walk,
+            held=np.zeros_like(noise.walk),
+            terms=terms,
+            blocks=blocks,
+            known=Known.nothing(noise),
+            shares=(0.0,) * len(blocks),
+            single=np.zeros(len(terms)),
+            courses=Courses(signals, transform),
+            ground=ground,
+            weights=np.zeros(0),
         )
-        return space.with_floor(AT_FIRST).refined(kinds).with_floor()
 
     def refined(self, kinds: Sequence[EffectKind]) -> "Workspace":
         """Take what the table of places says beyond the linear model for a part of the model.

@@ -5,16 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from orbitfb.diagnose.likelihood.courses import Courses
-from orbitfb.diagnose.likelihood.errors import healthy_errors
 from orbitfb.diagnose.likelihood.ground import ground_shapes
-from orbitfb.diagnose.likelihood.known import Known
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.laws import Signals
 from orbitfb.estimation.evidence import NormalTerms
-from orbitfb.estimation.floor import first_noise
-from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.transform import StepTransform
 from orbitfb.records.record import Record
 
@@ -40,33 +34,9 @@ def quick_workspace(record: Record, kinds: Sequence[EffectKind]) -> Workspace:
         EstimationError: The record is too short, or does not move.
     """
     transform = StepTransform.of(record.starts, _BANDS)
-    modelled = record.setpoints @ record.layout.response.T
-    residual = record.readings - modelled
-    every = ground_shapes(record.layout)
-    ground = replace(every, single=np.zeros((residual.shape[1], 0)))
-    noise = first_noise(transform.steps(residual), ground.broad[0])
-    signals = Signals(record, record.setpoints, predicted(residual, noise, transform) + modelled)
-    terms, blocks = healthy_errors(kinds, signals, transform)
-    plain = transform.spectrum(residual)
-    space = Workspace(
-        signals,
-        transform,
-        plain,
-        np.zeros_like(plain),
-        np.zeros_like(plain),
-        noise,
-        noise.walk,
-        np.zeros_like(noise.walk),
-        terms,
-        blocks,
-        Known.nothing(noise),
-        (0.0,) * len(blocks),
-        np.zeros(len(terms)),
-        Courses(signals, transform),
-        ground,
-        np.zeros(0),
-    )
-    return space.with_floor()
+    ground = ground_shapes(record.layout)
+    broad = replace(ground, single=np.zeros((record.readings.shape[1], 0)))
+    return Workspace.begun(record, kinds, transform, broad).with_floor()
 
 
 def memory(space: Workspace) -> float:
