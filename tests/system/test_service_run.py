@@ -139,6 +139,10 @@ def test_at_the_end_it_tells_what_it_came_to(run: Service):
     seen = run.wait_status("a refit and ten good seconds", settled_and_refitted, START)
     run.stop()
     assert run.popen.returncode == 0
+    assert re.fullmatch(
+        r"stopped after 0:\d\d:\d\d, the loop was CLOSED; the setpoints stay where they are",
+        run.out.splitlines()[-1],
+    )
     summary = json.loads((run.data.parent / "summary.json").read_text())
     for key, inner in SUMMARY.items():
         assert key in summary

@@ -17,6 +17,7 @@ from orbitfb.core.errors import MachineError, OrbitFeedbackError
 from orbitfb.core.signals import LoopState
 from orbitfb.observe.logs import log_is_open
 from orbitfb.observe.statistics.summary import check_place, write_summary
+from orbitfb.observe.wording import clock_time
 
 _log = structlog.stdlib.get_logger("orbitfb.service")
 
@@ -72,8 +73,13 @@ def run_service(
             announce("live: the loop is OPEN and writes nothing; `orbitfb command close` closes it")
         signals.hand_over()
         service.run(signals.stop, duration)
+    final = service.final
+    announce(
+        f"stopped after {clock_time(final.duration)}, the loop was {service.runner.state}; "
+        "the setpoints stay where they are"
+    )
     if summary_file is not None:
-        write_summary(summary_file, service.final)
+        write_summary(summary_file, final)
     if service.ring_failure and service.runner.state is LoopState.HELD:
         raise MachineError(service.ring_failure)
     return 1 if service.runner.state is LoopState.FAULT else 0
