@@ -2,16 +2,18 @@
 
     python -m benchmarks.promotions [--minutes 60] [--drift none,paper,mild,strong] [--seed 1]
                                     [--rule before,now] [--policy svd] [--caution 0.1]
-                                    [--period 30]
+                                    [--period 30] [--regularisation 3e-6]
+                                    [--drift-ticks 18000]
 
 The loop runs in process, as fast as it goes, with the service's own learner: identification,
 judge, shadow and watch, at 10 orbits a second. Every run is made twice on the same ring and the
 same noise: by the rule `before` (a predicted gain of 0.2 %, whatever its interval) and by the rule
 of the configuration. Both are told side by side: refits, how many of them were promoted with
 the 95 % interval of that share (Wilson), when the first useful one came, the true orbit, that over
-the one of a loop that is told the true response every two seconds, and the share of the errors of
-R̂ within two of their standard deviations, every fifty seconds. R̂ is the learner's, of the adaptive
-law its own, and beside that law it is the noise-aware one (`modal`) that is told the response.
+the one of a loop that is told the true response every two seconds, the share of the errors of R̂
+within two of their standard deviations, every fifty seconds, and the largest setpoint. R̂ is the
+learner's, of the adaptive law its own, and beside that law it is the noise-aware one (`modal`)
+that is told the response.
 
 A promotion is useful when the loop on the true response is better with it than with the policy of
 the start by more than a swap costs (`orbitfb.learn.watch.swap_cost`).
@@ -87,11 +89,13 @@ class Run:
     Args:
         events: Of the learner.
         true_rms: True orbit of every tick [m].
+        largest: Largest setpoint of any corrector [A].
         covered: Share of the errors of R̂ within two standard deviations, one for every look [1].
     """
 
     events: tuple[Event, ...]
     true_rms: np.ndarray
+    largest: float
     covered: tuple[float, ...] = ()
 
     @property
@@ -115,18 +119,17 @@ class Run:
         return next(useful, None)
 
 
-def plant(drift: str, seed: int) -> Plant:
+def plant(drift: DriftSettings, seed: int) -> Plant:
     """Make the ring of a run."""
-    drifting = DriftSettings.model_validate({"preset": drift})
-    return Plant(Ring.load(), "x", PlantSettings(drift=drifting), seed)
+    return Plant(Ring.load(), "x", PlantSettings(drift=drift), seed)
 
 
-def told(drift: str, seed: int, ticks: int, policy: PolicySettings) -> Run:
+def told(drift: DriftSettings, seed: int, ticks: int, policy: PolicySettings) -> Run:
     """Run the loop that is told the true response."""
     ring = plant(drift, seed)
     loop = ClosedLoop(ring, first_policy(ring.response, policy), ticks)
     loop.run(lambda its: first_policy(its.plant.response, policy), _TOLD)
-    return Run((), loop.true_rms)
+    return Run((), loop.true_rms, loop.largest)
 
 
 class Bench:
@@ -141,7 +144,12 @@ class Bench:
     """
 
     def __init__(
-        self, drift: str, seed: int, ticks: int, judge: Mapping[str, Any], policy: PolicySettings
+        self,
+        drift: DriftSettings,
+        seed: int,
+        ticks: int,
+        judge: Mapping[str, Any],
+        policy: PolicySettings,
     ) -> None:
         self._plant = plant(drift, seed)
         first = first_policy(self._plant.response, policy)
@@ -174,7 +182,7 @@ class Bench:
                 errors = self._known().normalised_errors(self._plant.response)
                 covered.append(float(np.mean(np.abs(errors) < 2.0)))
         true_rms = self._loop.true_rms[: self._loop.tick]
-        return Run(tuple(self._events), true_rms, tuple(covered))
+        return Run(tuple(self._events), true_rms, self._loop.largest, tuple(covered))
 
     def _known(self) -> LinearModel | RecursiveResponse:
         """Give the estimate that the gain is made of."""
@@ -214,7 +222,7 @@ def line(drift: str, seed: int, rule: str, run: Run, bound: Run) -> str:
         f"{drift:<7}{seed:>4}  {rule:<7}{run.refits:>7}{run.promoted:>9}"
         f"   {100 * run.promoted / max(run.refits, 1):4.1f} [{100 * low:.1f}, {100 * high:.1f}] %"
         f"   {useful:>8}   {run.rms * 1e6:.4f}   {run.rms / bound.rms:9.3f}"
-        f"   {100 * np.mean(run.covered):.1f} %"
+        f"   {100 * np.mean(run.covered):.1f} %   {run.largest:.3g} A"
     )
 
 
@@ -228,10 +236,13 @@ def main() -> None:
     parser.add_argument("--policy", default="svd", help="kind of the policy")
     parser.add_argument("--caution", type=float, help="of the law `adaptive`, if not its default")
     parser.add_argument("--period", type=int, help="of its gain [ticks], if not its default")
+    parser.add_argument("--regularisation", type=float, help="of its gain [m/A], the same way")
+    parser.add_argument("--drift-ticks", type=int, help="over which R drifts, if not the default")
     options = parser.parse_args()
     ticks = int(options.minutes * 60 * RATE)
     policy = PolicySettings(kind=options.policy)
-    chosen = {"caution": options.caution, "period": options.period}
+    names = ("caution", "period", "regularisation")
+    chosen = {name: getattr(options, name) for name in names}
     chosen = {name: value for name, value in chosen.items() if value is not None}
     if chosen:
         caution = policy.adaptive.caution.model_copy(update=chosen)
@@ -239,13 +250,15 @@ def main() -> None:
         policy = policy.model_copy(update={"adaptive": law})
     print(
         "drift  seed  rule    refits promoted   share               first useful   true um rms"
-        "   over told   covered"
+        "   over told   covered   largest"
     )
-    for drift in options.drift.split(","):
+    over = {} if options.drift_ticks is None else {"ticks": options.drift_ticks}
+    for name in options.drift.split(","):
+        drift = DriftSettings.model_validate({"preset": name, **over})
         bound = told(drift, options.seed, ticks, informed(policy))
         for rule in options.rule.split(","):
             run = Bench(drift, options.seed, ticks, RULES[rule], policy).run()
-            print(line(drift, options.seed, rule, run, bound), flush=True)
+            print(line(name, options.seed, rule, run, bound), flush=True)
 
 
 if __name__ == "__main__":

@@ -65,6 +65,11 @@ class ClosedLoop:
             self._policy, self._state = policy, policy.initial_state()
 
     @property
+    def largest(self) -> float:
+        """Largest setpoint of any corrector so far [A]."""
+        return float(np.abs(self._setpoints[: self.tick + 1]).max())
+
+    @property
     def policy_state(self) -> Any:
         """What the policy carries from tick to tick."""
         return self._state

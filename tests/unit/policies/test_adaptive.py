@@ -164,3 +164,16 @@ def test_a_trip_takes_back_what_was_learnt_shortly_before():
     kept = policy.response
     policy.take_back()
     assert policy.response is kept
+
+
+@pytest.mark.parametrize("strength", [2e-6, 2e-7, 2e-9])
+def test_a_mode_that_is_known_to_have_lost_its_response_gets_little_current(strength):
+    """Where nothing is doubted, a micrometre asks for 0.3 A at most, however weak the mode is."""
+    defaults = AdaptiveSettings()
+    left, _, right = np.linalg.svd(make_response())
+    strengths = np.full(CORRECTORS, 1e-4)
+    strengths[-1] = strength
+    response = (left[:, :CORRECTORS] * strengths) @ right
+    known = [1e-20 * np.eye(CORRECTORS)] * defaults.tracking.groups
+    state = AdaptivePolicy(response, defaults, known).initial_state()
+    assert np.linalg.norm(state.gain.near_modes, 2) <= 0.3 / 1e-6
