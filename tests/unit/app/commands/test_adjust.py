@@ -100,11 +100,12 @@ def test_enabling_does_not_enable_what_is_masked_by_configuration(bench: Bench):
     assert shown["CorrectorEnable-RB"] == [int(index != 6) for index in range(M)]
 
 
-def test_a_law_for_fewer_bpms_is_solved_before_the_loop_needs_it(bench: Bench):
+def test_what_masked_bpms_call_for_is_worked_out_before_the_loop_needs_it(bench: Bench):
     policy: Any = bench.slot.current
     calls: list[int] = []
-    solve = policy._solve
-    policy._masked = Recent(lambda valid: calls.append(int(valid.sum())) or solve(valid))
+    infill = policy._infill
+    matrix = infill._matrix
+    infill._matrices = Recent(lambda valid: calls.append(int(valid.sum())) or matrix(valid))
     bench("enable-bpms", enabled=off(N, 1, 2))
     assert calls == [N - 3]
     policy.act(np.zeros(N), np.array(off(N, 1, 2, 5)), policy.initial_state())
