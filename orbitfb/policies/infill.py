@@ -39,7 +39,7 @@ class Infill:
 
     Args:
         response: R, shape (n, m) [m/A].
-        floor: Variance that no corrector explains, relative to the mean of R Rᵀ [1].
+        floor: Variance that no corrector explains, over that which correctors make, f [1].
     """
 
     def __init__(self, response: Vector, floor: float = FLOOR) -> None:

@@ -11,7 +11,7 @@ from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix, angles_around
 from orbitfb.physics.places import Indices
-from orbitfb.records.layout import ChannelPlane, Layout
+from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
 
@@ -75,20 +75,20 @@ class OrbitLengthening(SourceKind):
 
 
 @lru_cache(maxsize=8)
-def _angles(layout: Layout, plane: ChannelPlane) -> Matrix:
-    """Angles per ampere between all places of the table, shape (k, m) [m^½/A]."""
+def _angles(layout: Layout) -> Matrix:
+    """Angles per ampere between all places of the table, plane by plane, (k, m) [m^½/A]."""
     ring = layout.known_ring
+    around = float(ring.parameters.circumference)
     s, places = np.unique(ring.table.s, return_index=True)
-    orbit = layout.orbit_at(places, plane)
-    return angles_around(s, orbit, float(ring.parameters.circumference))
+    planes = [angles_around(s, layout.orbit_at(places, one), around) for one in layout.planes]
+    return np.vstack(planes)
 
 
 def _energy(layout: Layout, currents: Matrix) -> Vector:
     """Relative energy by the lengthening of the orbits of currents, (N, m) [A], shape (N,) [1]."""
     ring = layout.known_ring
-    stretch = float(ring.parameters.alpha_c * ring.parameters.circumference)  # per energy
-    angles = np.vstack([_angles(layout, plane) for plane in layout.planes])
-    return (-0.5 / stretch) * np.sum((currents @ angles.T) ** 2, axis=1)
+    length = 0.5 * np.sum((currents @ _angles(layout).T) ** 2, axis=1)
+    return -length / (ring.parameters.alpha_c * ring.parameters.circumference)
 
 
 class _Lengthened(Effect):
