@@ -59,10 +59,10 @@ class AdaptiveSettings(Settings):
     1.84.
 
     A mode whose response drifts through zero while it holds a current asks for ever more of it.
-    The caution does not help, for that response is known well; the regularisation does. It was
-    chosen of 0, 1, 2, 3 and 5 µm/A (`--drift-ticks 18000 --regularisation R`) so that no setpoint
-    comes to its limit of 17.5 A: on seeds 401, 402, 413, 423 and 426 the largest was 18 to 32 A
-    without it, 15.8 A with 2 µm/A on seed 423, and 7 to 15 A with 3 µm/A.
+    The caution does not help, for that response is known well; the regularisation does. By hand, of
+    0, 1, 2, 3 and 5 µm/A, so that no setpoint comes to its limit of 17.5 A: with `--minutes 30
+    --drift-ticks 18000` on seeds 413, 423 and 426 the largest was 18, 54 and 28 A without it, and
+    is 6.0, 13 and 8.0 A with 3 µm/A.
     """
 
     tracking: TrackingSettings = Field(
