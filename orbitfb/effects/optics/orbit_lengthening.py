@@ -49,7 +49,7 @@ class OrbitLengthening(SourceKind):
         return needs_ring(record, ("x",))
 
     def healthy_scatter(self, layout: Layout) -> Vector | None:
-        """It acts in every ring, and no linear model has it."""
+        """The whole of it: it acts in every ring, and no linear model has it."""
         return None if layout.ring is None or "x" not in layout.planes else np.ones(1)
 
     def simulate(

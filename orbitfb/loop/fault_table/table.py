@@ -43,8 +43,8 @@ FAULTS = (
         ),
     ),
     Fault(
-        "the computer is slower than the orbits, so that the next one comes before the change "
-        "for the last one has left",
+        "the computer is slower than the orbits: the next orbit comes before the change for the "
+        "last one has left",
         "Such an orbit does not know of the change. It is passed over and counted as missed, so "
         "that no error is corrected twice.",
         (_CLOSED,),
