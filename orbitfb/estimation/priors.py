@@ -246,7 +246,8 @@ SAMPLED = 12
 slow bands, which have fewer, all. By hand: sums of most laws are then right to a fifth."""
 
 VALUE_SCATTER = 0.5
-"""Largest scatter of a value from device to device, of the value [1]: a half."""
+"""Largest scatter of a value from device to device, of the value [1]: a half. Where values of every
+device's own are told, it is that of their logarithms with which the search begins."""
 
 STRUCK_SHARES = (0.003, 0.01, 0.03, 0.08, 0.2)
 """Shares of the rows that are struck."""

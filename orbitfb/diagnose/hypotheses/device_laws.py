@@ -1,6 +1,6 @@
 """Scan a law of devices over its values and its devices."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -189,6 +189,7 @@ def evaluated(
     cost: float,
     kick: bool = False,
     first: Vector | None = None,
+    own: Mapping[str, Vector] | None = None,
 ) -> Candidate:
     """Evaluate a set of devices exactly, and give it its size.
 
@@ -203,9 +204,10 @@ def evaluated(
         cost: Of its values [nats].
         kick: Whether what it has reached by the onset comes at once.
         first: State of the devices in the first row, shape (k,); None: not asked.
+        own: Factors by which values of every device differ, shape (k,), by parameter; None: none.
     """
     count = len(places) or len(law.names)
-    source = Course(law, places, values, np.ones(count), onset, kick, first)
+    source = Course(law, places, values, np.ones(count), onset, kick, first, own or {})
     courses = source.of(scorer.space.signals, values)
     field = field_of(law, scorer, courses, places, source.size)
     pull, information = scorer.evaluate([field])

@@ -33,6 +33,8 @@ class Course:
         kick: Whether what it has reached by then comes at once, where the law does not know.
         first: State of every device in the first row, from −1 to 1, shape (k,), of a law that
             remembers; None: in the middle.
+        own: Factors by which values of every device differ from those, shape (k,), by parameter; of
+            a law that takes values of every device's own.
         elements: Errors of single elements of the response, by the name of what they are with
             [m/A]; empty of a law that has none.
     """
@@ -44,15 +46,16 @@ class Course:
     onset: int = 0
     kick: bool = False
     first: Vector | None = None
+    own: Mapping[str, Vector] = field(default_factory=dict)
     elements: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, signals: Signals, values: Values) -> tuple[Matrix, ...]:
         """Courses of the devices for given values, nothing before the onset, (N, k) or (N, 1)."""
         chosen = list(self.places) if self.places else slice(None)
+        each = {name: values[name] * self._every(1.0, own) for name, own in self.own.items()}
         if self.first is not None:
-            states = np.zeros(len(self.law.names))
-            states[chosen] = self.first
-            values = cast(Values, {**values, FIRST_STATE: states})
+            each[FIRST_STATE] = self._every(0.0, self.first)
+        values = cast(Values, {**values, **each})
         found, reached = [], None
         if self.onset and self.law.first is not None:
             reached = self.law.first(values, signals)[self.onset, chosen]
@@ -63,6 +66,12 @@ class Course:
                 part = np.where((np.arange(len(part)) >= self.onset)[:, None], part - base, 0.0)
             found.append(part)
         return tuple(found)
+
+    def _every(self, others: float, mine: Vector) -> Vector:
+        """Numbers of all devices of the law, shape (D,): of those of the course, and of others."""
+        every = np.full(len(self.law.names), others)
+        every[list(self.places) if self.places else slice(None)] = mine
+        return every
 
     def undone(
         self, kind: EffectKind, signals: Signals

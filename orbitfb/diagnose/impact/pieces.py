@@ -76,7 +76,7 @@ def _pieces(
     elif part.parts:
         for one in part.parts:
             yield Piece(one.names, dict(one.values), one.onset)
-    elif len(part.sources) > 1 or differences or any(one.elements for one in part.sources):
+    elif len(part.sources) > 1 or differences or any(o.elements or o.own for o in part.sources):
         for number, one in enumerate(part.sources):
             yield from _of_course(part, one, differences.get(number, {}))
     else:
@@ -91,6 +91,7 @@ def _of_course(part: Candidate, one: Course, differences: Differences) -> Iterat
         values = {
             key: value
             * (float(wide[number]) if key in scaled else 1.0)
+            * (float(one.own[key][number]) if key in one.own else 1.0)
             * (1.0 + float(differences[key][number]) if key in differences else 1.0)
             for key, value in one.values.items()
         }

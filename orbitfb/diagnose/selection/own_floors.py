@@ -9,7 +9,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.weighed import Weighed
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.selection.first_states import with_first_states
+from orbitfb.diagnose.selection.device_by_device import device_by_device
 from orbitfb.estimation.priors import CLOSE, HEARD, LEADING, MISFIT, SETTLED, SURE, SWALLOWED
 from orbitfb.estimation.transform import Matrix
 
@@ -79,7 +79,7 @@ def refitted(
     """
     if not candidates or candidates[0].evidence < 0.5 * enough or candidates[0].noisy:
         return list(candidates)  # what is said of the noise alone is not weighed so
-    candidates = [with_first_states(one, space) for one in candidates]
+    candidates = [device_by_device(one, space) for one in candidates]
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
     base = space.with_floor().log_posterior()
@@ -179,7 +179,8 @@ class _Rivals:
                 continue
             # Each BPM is the scale of what is undone: beside the floor of all it counts for little.
             at_it = _beside(one, self.candidates[0]) and one.evidence > 0.5 * self.enough
-            at_it = at_it or (self.worth[number] > 0.5 * best and self._begins_with_best(one))
+            more = one.again is not None or self._begins_with_best(one)
+            at_it = at_it or (self.worth[number] > 0.5 * best and more)
             if at_it or self.worth[number] > (self.enough if one.undone else least):
                 return int(number)
         return None
@@ -215,9 +216,14 @@ class _Rivals:
 
 
 def _form(one: Candidate) -> tuple[str, str]:
-    """Its effect, and as what: larger errors of all or of some, a random course, or one told."""
+    """Its effect, and as what: larger errors of all or of some, a random course, or one told.
+
+    What is told device by device, over a floor of its own only, all and some of them tell unlike.
+    """
     if one.raised or one.columns:
         return (one.kind.id, "all" if one.raised else "some")
+    if one.again is not None:
+        return (one.kind.id, "some by device" if one.places else "all by device")
     return (one.kind.id, "told" if one.walk is None else "random")
 
 

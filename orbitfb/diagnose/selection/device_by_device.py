@@ -1,10 +1,14 @@
-"""What devices that remember held when the record began.
+"""What devices that remember held when the record began, and how wide the play of each one is.
 
 A play, say, stands anywhere between its two ends until the setpoint has moved by its width, and
 when it begins to move depends on where. A law that begins in the middle leaves jumps of all its
 devices, and a width that is wrong. So the states are sought device by device, each between −1 and
 1, and the value that runs in the grid with them; all states alike are possible before. They are
 sought again beside healthy errors that follow what the devices have, not what they were asked for.
+
+Then each device gets a value of its own, if that explains more than it costs. A course does not
+follow its value in a straight line for long, so that the scatter is told here, and not by columns
+of derivatives. It is normal in the logarithm of the value, with a variance that the record tells.
 """
 
 from dataclasses import replace
@@ -28,6 +32,8 @@ from orbitfb.estimation.priors import (
     NEARER_TURNS,
     PARTNERS,
     SLOPE,
+    SURE,
+    VALUE_SCATTER,
     WIDER,
 )
 from orbitfb.estimation.transform import Indices, Matrix
@@ -39,8 +45,8 @@ _UNIFORM = 1.0 / 3.0
 """Variance of what is anywhere between −1 and 1 with the same probability."""
 
 
-def with_first_states(one: Candidate, space: Workspace) -> Candidate:
-    """Let the states of a candidate be told once there is a floor that was estimated with it.
+def device_by_device(one: Candidate, space: Workspace) -> Candidate:
+    """Let states and own values of a candidate be told over a floor that was estimated with it.
 
     Args:
         one: A candidate; what does not remember, begins late or has values of every device's own
@@ -109,17 +115,21 @@ def _at(
     one: Candidate, scorer: Scorer, cost: float, value: float, first: Vector | None
 ) -> Candidate:
     """A candidate at a value of what has a logarithm, with states (k,)."""
-    values = {**one.sources[0].values, _name(one): value}
-    law = one.sources[0].law
-    return evaluated(one.kind, law, scorer, one.places, values, 0, True, cost, first=first)
+    source = one.sources[0]
+    source = replace(source, values={**source.values, _name(one): value}, first=first)
+    return _of(one, source, scorer, cost)
+
+
+def _of(one: Candidate, source: Course, scorer: Scorer, cost: float) -> Candidate:
+    """A candidate with other states, value, and own values."""
+    return evaluated(
+        one.kind, source.law, scorer, one.places, source.values, 0, True, cost,
+        first=source.first, own=source.own,
+    )  # fmt: skip
 
 
 def _nearest(one: Candidate, scorer: Scorer, cost: float, beside: Scorer) -> Candidate:
-    """Tell states and value as finely as the record does.
-
-    Where in the record a device begins to move changes with its state, so that there are many
-    states near which none is better: after a step towards better ones finer levels are tried of
-    each device.
+    """Tell states and values as finely as the record does.
 
     Args:
         one: With states.
@@ -127,23 +137,82 @@ def _nearest(one: Candidate, scorer: Scorer, cost: float, beside: Scorer) -> Can
         cost: Of its values [nats].
         beside: Over which they are sought.
     """
-    name, reach = _name(one), 2.0 / (FIRST_STATES - 1)
-    near = _at(one, beside, cost, one.sources[0].values[name], one.sources[0].first)
-    chosen = 0.0
+
+    def told(near: Candidate, more: float) -> Candidate:
+        found = _of(one, near.sources[0], scorer, cost)
+        return replace(found, evidence=found.evidence - more)
+
+    near, name = _of(one, one.sources[0], beside, cost), _name(one)
+    if one.sources[0].own:
+        return told(*_sought(near, name, beside, cost, VALUE_SCATTER))
+    near, chosen = _sought(near, name, beside, cost)
+    alike = told(near, chosen)
+    if len(near.sources[0].size) == 1:
+        return alike
+    unlike = told(*_sought(near, name, beside, cost, VALUE_SCATTER))
+    return unlike if unlike.evidence > alike.evidence + SURE else alike
+
+
+def _sought(
+    near: Candidate, name: str, scorer: Scorer, cost: float, scatter: float = 0.0
+) -> tuple[Candidate, float]:
+    """Seek the states, and the value or values, and tell what they cost [nats].
+
+    Where in the record a device begins to move changes with its state, so that there are many
+    states near which none is better: after a step towards better ones finer levels are tried of
+    each device. So it is with values.
+
+    Args:
+        near: Where it begins.
+        name: Of the value.
+        scorer: Of what is left to explain.
+        cost: Of its values [nats].
+        scatter: Of the logarithms of the devices' own values; 0: they have one.
+    """
+    reach, chosen = 2.0 / (FIRST_STATES - 1), 0.0
+    line = np.linspace(-1.0, 1.0, FIRST_STATES)[:, None]
     for _ in range(NEARER_TURNS):
-        value, states, chosen = _nearer(near.sources[0], name, beside)
-        source = replace(near.sources[0], values={**near.sources[0].values, name: value})
-        levels = np.clip(states + reach * np.linspace(-1.0, 1.0, FIRST_STATES)[:, None], -1.0, 1.0)
-        more = _at(one, beside, cost, value, _states(source, levels, beside)[0])
+        source = near.sources[0]
+        if scatter:
+            source = _own(source, name, 2.0 * reach * VALUE_SCATTER, scorer)
+        source, chosen, scatter = _nearer(source, name, scorer, scatter)
+        levels = np.clip(_held(source) + reach * line, -1.0, 1.0)
+        more = _of(near, replace(source, first=_states(source, levels, scorer)[0]), scorer, cost)
         if more.evidence < near.evidence + NEARER:
             break
         near, reach = more, 0.5 * reach
-    found = _at(one, scorer, cost, near.sources[0].values[name], near.sources[0].first)
-    return replace(found, evidence=found.evidence - chosen)
+    return near, chosen
 
 
-def _nearer(source: Course, name: str, scorer: Scorer) -> tuple[float, Vector, float]:
-    """Go a step of Gauss and Newton: the value, the states (k,), and what the states cost [nats].
+def _held(source: Course) -> Vector:
+    """States of its devices in the first row, shape (k,)."""
+    return np.zeros(len(source.size)) if source.first is None else source.first
+
+
+def _times(source: Course, name: str, factor: Vector | float) -> Course:
+    """The same with other values, one for all or of each; the devices stay where they are."""
+    first = np.clip(_held(source) / factor, -1.0, 1.0)
+    if isinstance(factor, float):
+        values = {**source.values, name: factor * source.values[name]}
+        return replace(source, values=values, first=first)
+    own = factor * source.own.get(name, np.ones(len(first)))
+    middle = float(np.exp(np.mean(np.log(own))))
+    values = {**source.values, name: middle * source.values[name]}
+    return replace(source, values=values, first=first, own={**source.own, name: own / middle})
+
+
+def _own(source: Course, name: str, reach: float, scorer: Scorer) -> Course:
+    """Choose the likeliest value of every device among some on both sides of that it has."""
+    factors = np.exp(reach * np.linspace(-1.0, 1.0, FIRST_STATES))
+    several = [_courses(_times(source, name, factor), scorer) for factor in factors]
+    number, _ = _chosen(*_weighed(source, several, scorer))
+    return _times(source, name, factors[number])
+
+
+def _nearer(
+    source: Course, name: str, scorer: Scorer, scatter: float
+) -> tuple[Course, float, float]:
+    """Go a step of Gauss and Newton: the states, the value or values, and what is not known [nats].
 
     A state is anywhere within the play with the same probability; what is known of it is told as
     that of a normal one of the same variance. Where nothing shows, state and value stay.
@@ -152,40 +221,55 @@ def _nearer(source: Course, name: str, scorer: Scorer) -> tuple[float, Vector, f
         source: With the value and the states.
         name: Of the value.
         scorer: Of what is left to explain.
+        scatter: Of the logarithms of the devices' own values; 0: they have one.
+
+    Returns:
+        The course, what its numbers cost, and the scatter as it shows.
     """
-    count, now = len(source.size), source.values[name]
-    first = np.zeros(count) if source.first is None else source.first
-
-    def courses(states: Vector, factor: float) -> list[Matrix]:
-        values = {**source.values, name: factor * now}
-        return _courses(replace(source, values=values), states, scorer)
-
+    count, first = len(source.size), _held(source)
     low, high = np.maximum(first - SLOPE, -1.0), np.minimum(first + SLOPE, 1.0)
     by_state = [
         (after - before) / (high - low)
-        for after, before in zip(courses(high, 1.0), courses(low, 1.0), strict=True)
-    ]
-    by_value = [  # the devices stay where they are
-        (after - before) / (2.0 * SLOPE)
         for after, before in zip(
-            courses(np.clip(first / (1.0 + SLOPE), -1.0, 1.0), 1.0 + SLOPE),
-            courses(np.clip(first / (1.0 - SLOPE), -1.0, 1.0), 1.0 - SLOPE),
+            _courses(replace(source, first=high), scorer),
+            _courses(replace(source, first=low), scorer),
             strict=True,
         )
     ]
-    pull, information = _weighed(source, [by_state, by_value, courses(first, 1.0)], scorer)
-    left = pull - information[:, :, 2].sum(axis=2)  # beside what is there already
-    states, value = 0, 1
-    inner = np.empty((count + 1, count + 1))
-    inner[:count, :count] = information[states, :, states]
-    inner[:count, count] = inner[count, :count] = information[states, :, value].sum(axis=1)
-    inner[count, count] = information[value, :, value].sum() + 1.0 / _FURTHEST**2
-    inner[np.diag_indices(count)] += 1.0 / _UNIFORM
-    step = np.linalg.solve(inner, np.append(left[states] - first / _UNIFORM, left[value].sum()))
-    factor = float(np.exp(np.clip(step[count], -_FURTHEST, _FURTHEST)))
-    grown = np.eye(count) + _UNIFORM * information[states, :, states]
-    cost = 0.5 * float(np.linalg.slogdet(grown)[1])
-    return factor * now, np.clip((first + step[:count]) / factor, -1.0, 1.0), cost
+    by_value = [
+        (after - before) / (2.0 * SLOPE)
+        for after, before in zip(
+            _courses(_times(source, name, 1.0 + SLOPE), scorer),
+            _courses(_times(source, name, 1.0 - SLOPE), scorer),
+            strict=True,
+        )
+    ]
+    several = [by_state, by_value, _courses(source, scorer)]
+    pull, information = _weighed(source, several, scorer)
+    left = (pull - information[:, :, 2].sum(axis=2))[:2].reshape(-1)  # beside what is there already
+    inner = information[:2, :, :2].reshape(2 * count, 2 * count)
+    apart, one_for_all = np.log(source.own.get(name, np.ones(count))), not scatter
+    values = 1 if one_for_all else count
+    sums = np.zeros((count + values, 2 * count))
+    sums[np.arange(count), np.arange(count)] = 1.0
+    sums[count + np.arange(count) % values, count + np.arange(count)] = 1.0
+    left, inner = sums @ left, sums @ inner @ sums.T
+    width = _FURTHEST if one_for_all else scatter
+    variance = np.append(np.full(count, _UNIFORM), np.full(values, width**2))
+    precise = inner + np.diag(1.0 / variance)
+    step = np.linalg.solve(precise, left - np.append(first, apart[:values]) / variance)
+    factor = np.exp(np.clip(step[count:], -_FURTHEST, _FURTHEST))
+    states = np.clip(first + step[:count], -1.0, 1.0)
+    told = slice(count if one_for_all else None)
+    wide = np.eye(len(inner[told])) + variance[told, None] * inner[told, told]
+    cost = 0.5 * float(np.linalg.slogdet(wide)[1])
+    if one_for_all:
+        return _times(replace(source, first=states), name, float(factor[0])), cost, 0.0
+    moved = _times(replace(source, first=states), name, factor)
+    apart = np.log(moved.own[name])
+    cost += 0.5 * float(np.sum((apart / scatter) ** 2))
+    known = np.diag(np.linalg.inv(precise))[count:]
+    return moved, cost, float(np.sqrt(np.mean(apart**2 + known)))
 
 
 def _states(source: Course, levels: Matrix, scorer: Scorer) -> tuple[Vector, float]:
@@ -197,16 +281,16 @@ def _states(source: Course, levels: Matrix, scorer: Scorer) -> tuple[Vector, flo
         scorer: Of what is left to explain.
     """
     each = np.broadcast_to(levels, (len(levels), len(source.size)))
-    pull, information = _weighed(source, [_courses(source, one, scorer) for one in each], scorer)
-    state, gain = _chosen(pull, information)
+    several = [_courses(replace(source, first=one), scorer) for one in each]
+    state, gain = _chosen(*_weighed(source, several, scorer))
     best = gain.max(axis=0)
     cost = -np.log(np.mean(np.exp(gain - best), axis=0))
     return each[state, np.arange(len(state))], float(cost.sum())
 
 
-def _courses(source: Course, states: Vector, scorer: Scorer) -> list[Matrix]:
-    """Courses of the devices with given states, block by block, shape (N, k) each."""
-    courses = replace(source, first=states).of(scorer.space.signals, source.values)
+def _courses(source: Course, scorer: Scorer) -> list[Matrix]:
+    """Courses of the devices, block by block, shape (N, k) each."""
+    courses = source.of(scorer.space.signals, source.values)
     return [np.broadcast_to(one, (len(one), len(source.size))) * source.size for one in courses]
 
 
