@@ -179,7 +179,7 @@ class _Rivals:
                 continue
             # Each BPM is the scale of what is undone: beside the floor of all it counts for little.
             at_it = _beside(one, self.candidates[0]) and one.evidence > 0.5 * self.enough
-            more = one.again is not None or self._begins_with_best(one)
+            more = _by_device(one) or self._begins_with_best(one)
             at_it = at_it or (self.worth[number] > 0.5 * best and more)
             if at_it or self.worth[number] > (self.enough if one.undone else least):
                 return int(number)
@@ -222,9 +222,14 @@ def _form(one: Candidate) -> tuple[str, str]:
     """
     if one.raised or one.columns:
         return (one.kind.id, "all" if one.raised else "some")
-    if one.again is not None:
+    if _by_device(one):
         return (one.kind.id, "some by device" if one.places else "all by device")
     return (one.kind.id, "told" if one.walk is None else "random")
+
+
+def _by_device(one: Candidate) -> bool:
+    """Whether each of its devices tells states and values, which a floor of its own is needed for."""
+    return one.kind.remembers and one.again is not None
 
 
 def _under(
