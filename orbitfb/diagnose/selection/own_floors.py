@@ -228,7 +228,7 @@ def _form(one: Candidate) -> tuple[str, str]:
 
 
 def _by_device(one: Candidate) -> bool:
-    """Whether each of its devices tells states and values, which a floor of its own is needed for."""
+    """Whether states and values are told device by device, over a floor of its own only."""
     return one.kind.remembers and one.again is not None
 
 
