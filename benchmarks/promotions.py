@@ -2,7 +2,7 @@
 
     python -m benchmarks.promotions [--minutes 60] [--drift none,paper,mild,strong] [--seed 1]
                                     [--rule before,now] [--policy svd] [--caution 0.1]
-                                    [--period 30] [--regularisation 3e-6]
+                                    [--period 30] [--regularisation 3e-8] [--price 6e-8]
                                     [--drift-ticks 18000]
 
 The loop runs in process, as fast as it goes, with the service's own learner: identification,
@@ -237,11 +237,12 @@ def main() -> None:
     parser.add_argument("--caution", type=float, help="of the law `adaptive`, if not its default")
     parser.add_argument("--period", type=int, help="of its gain [ticks], if not its default")
     parser.add_argument("--regularisation", type=float, help="of its gain [m/A], the same way")
+    parser.add_argument("--price", type=float, help="of what it holds [m/A²], the same way")
     parser.add_argument("--drift-ticks", type=int, help="over which R drifts, if not the default")
     options = parser.parse_args()
     ticks = int(options.minutes * 60 * RATE)
     policy = PolicySettings(kind=options.policy)
-    names = ("caution", "period", "regularisation")
+    names = ("caution", "period", "regularisation", "price")
     chosen = {name: getattr(options, name) for name in names}
     chosen = {name: value for name, value in chosen.items() if value is not None}
     if chosen:

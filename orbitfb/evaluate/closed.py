@@ -1,7 +1,8 @@
 """The closed loop of the experiments that go through Channel Access: a ring of its own, a runner.
 
 Every law gets a soft IOC in a child process and a loop that closes by itself, with the limits and
-interlocks of operation and a reference of zero.
+interlocks of operation and a reference of zero. As in operation, the others take over from a
+corrector at its limit; there is no baseline that would decide in a law's place.
 """
 
 from collections.abc import Sequence
@@ -14,9 +15,11 @@ from orbitfb.core.ports import Clock, Subscriber
 from orbitfb.core.signals import Channels, LoopState
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import EpicsSettings
+from orbitfb.loop.guard import Safeguards
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
+from orbitfb.policies.masking import without
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 
@@ -66,4 +69,5 @@ def closed_loop(
         clock,
         start=LoopState.CLOSED,
         subscribers=subscribers,
+        safeguards=Safeguards(without=without),
     )

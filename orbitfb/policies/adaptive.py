@@ -2,9 +2,10 @@
 
 Reading and change of every tick go into the Kalman filter of orbit and response
 (`orbitfb.estimation.recursive.estimate`), and the change is a cautious gain on the filtered orbit
-and the creep that is expected (`orbitfb.estimation.recursive.caution`):
+and the creep that is expected, less what the currents held since then are worth
+(`orbitfb.estimation.recursive.caution`):
 
-    a = −K (x̂ + b̂).
+    a = −K (x̂ + b̂) − G D h.
 
 The tick waits for none of the learning. `act` only filters the reading; what was read and what was
 sent are taken in by `inform`, after the write, and there the gain is made anew when the readings
@@ -79,7 +80,8 @@ class Track:
         """Give the change for a reading, shape (n,) [m]: shape (m,) [A]. Nothing is taken in."""
         filtered = self.estimate.filtered(reading)
         far = filtered.deviation > self.gain.far_from_floor
-        return -((self.gain.far_modes if far else self.gain.near_modes) @ filtered.expected)
+        gain = self.gain.far_modes if far else self.gain.near_modes
+        return -(gain @ filtered.expected + self.gain.back)
 
     def learn(self, reading: Vector, applied: Vector, hertz: float = 0.0) -> bool:
         """Take in a reading, shape (n,) [m], and the change that answered it, shape (m,) [A].
@@ -97,6 +99,7 @@ class Track:
             self.chi2 += (said.chi2 - self.chi2) / _LOOKED_BACK
         renewed = self.gain.follow_in_turn(said)
         self.estimate.predict(applied, hertz)
+        self.gain.hold(applied)
         return renewed
 
     def at_rest(self) -> Vector:

@@ -59,10 +59,12 @@ class AdaptiveSettings(Settings):
     1.84.
 
     A mode whose response drifts through zero while it holds a current asks for ever more of it.
-    The caution does not help, for that response is known well; the regularisation does. By hand, of
-    0, 1, 2, 3 and 5 µm/A, so that no setpoint comes to its limit of 17.5 A: with `--minutes 30
-    --drift-ticks 18000` on seeds 413, 423 and 426 the largest was 18, 54 and 28 A without it, and
-    is 6.0, 13 and 8.0 A with 3 µm/A.
+    The caution does not help, for that response is known well; the price of a held current does.
+    It is by hand, of 0, 0.03, 0.06 and 0.1 µm/A², so that setpoints stay far from their limit of
+    17.5 A: with `benchmarks.promotions --minutes 30 --drift strong --drift-ticks 18000 --rule now
+    --policy adaptive` the largest setpoint of seeds 413, 423 and 426 is 18, 54 and 28 A without
+    price and regularisation, and 6.9, 10 and 9.3 A with them. The regularisation is the price of
+    what holds nothing yet: that of half an ampere.
     """
 
     tracking: TrackingSettings = Field(
@@ -74,6 +76,6 @@ class AdaptiveSettings(Settings):
         "the learner.",
     )
     caution: CautionSettings = Field(
-        default=CautionSettings(period=30, caution=0.1, regularisation=3e-6),
+        default=CautionSettings(period=30, caution=0.1, regularisation=3e-8, price=6e-8),
         description="How the gain is made of it, and when.",
     )

@@ -13,9 +13,21 @@ that what they do by mistake to the strong modes is lost among what those do by 
 caution about it would cost control of the weak ones: so there only the doubt about the rows of
 the weakest modes counts, and every weight is 1.
 
+A mode whose response drifts through zero while it holds a current asks for ever more of it, and no
+doubt restrains that. So what a corrector holds, h_j since the loop closed, has a price that grows
+faster than its square, p_j = λ² h_j² / 2 + ν² h_j⁴ / 4, and the change is Newton's step for the
+sum of both:
+
+    a = −G (Σ_i w_i R̂_i U_iᵀ x̂ + p′),   G = (Σ_i w_i (R̂_i R̂_iᵀ + P_i) + diag p″)⁻¹.
+
+Where an orbit d of one mode needs more current than the correctors should give, the orbit gives
+way: of σ (d − σ h) = p′(h) no response σ makes more than h = √(d / ν).
+
 Source: Åström and Wittenmark, Adaptive Control, ch. 7 (cautious control); de Koning, Automatica 18
 (1982) 443 (optimal control with random coefficients).
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,6 +37,24 @@ from orbitfb.estimation.recursive.said import Innovation
 from orbitfb.estimation.recursive.settings import CautionSettings
 
 _FIRST_ROUNDS = 3
+_OUTGROWN = 2.0
+"""How often p″ for which a gain was made p″ may be before it is renewed at once [1]: from twice on
+Newton's steps do not converge."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    """What minimises the squares.
+
+    Args:
+        gain: K on the orbit in modes, shape (m, n) [A/m].
+        inverse: G, shape (m, m) [1/R²].
+        bend: p″, shape (m,) [R²].
+    """
+
+    gain: Vector
+    inverse: Vector
+    bend: Vector
 
 
 class CautiousGain:
@@ -35,8 +65,8 @@ class CautiousGain:
         settings: Caution, and when to renew.
 
     Attributes:
-        near_modes: K at the floor, on the orbit in modes, shape (m, n) [A/m].
-        far_modes: K after a kick, the same way.
+        held: Currents since it was made, shape (m,) [A].
+        back: What of them the price gives back at the next tick, G p′, shape (m,) [A].
         swaps: How often a gain was renewed.
     """
 
@@ -48,7 +78,19 @@ class CautiousGain:
         self._was_far = True
         self._on_readings: dict[str, Vector] = {}
         self.swaps = 0
-        self.near_modes, self.far_modes = self._solve_near(), self._solve_far(_FIRST_ROUNDS)
+        self.held = self.back = np.zeros(len(estimate.rows))
+        self._bend, self._outgrown = np.full(len(self.held), settings.regularisation**2), False
+        self._near, self._far = self._solve_near(), self._solve_far(_FIRST_ROUNDS)
+
+    @property
+    def near_modes(self) -> Vector:
+        """K at the floor, on the orbit in modes, shape (m, n) [A/m]."""
+        return self._near.gain
+
+    @property
+    def far_modes(self) -> Vector:
+        """K after a kick, the same way."""
+        return self._far.gain
 
     @property
     def near(self) -> Vector:
@@ -69,6 +111,16 @@ class CautiousGain:
     def is_far(self) -> bool:
         """Whether the filtered orbit is far from the floor."""
         return self._estimate.deviation > self._settings.far
+
+    def hold(self, change: Vector) -> None:
+        """Remember a change that was sent, shape (m,) [A]."""
+        damping, price = self._settings.regularisation**2, self._settings.price**2
+        self.held = self.held + change
+        squared = self.held**2
+        self._bend = damping + 3.0 * price * squared
+        solution = self._far if self.is_far else self._near
+        self.back = solution.inverse @ (self.held * (damping + price * squared))
+        self._outgrown = bool((self._bend > _OUTGROWN * solution.bend).any())
 
     def follow(self, innovation: Innovation, both: bool = False) -> bool:
         """Renew the gain for where the orbit is, if it is time.
@@ -118,7 +170,8 @@ class CautiousGain:
     def _is_called(self, innovation: Innovation, far: bool) -> bool:
         settings = self._settings
         return settings.events and (
-            innovation.chi2 > settings.chi2
+            self._outgrown
+            or innovation.chi2 > settings.chi2
             or innovation.doubt > settings.doubt
             or far != self._was_far
         )
@@ -130,50 +183,54 @@ class CautiousGain:
         return self._on_readings[name]
 
     def _renew_near(self) -> None:
-        self.near_modes = self._solve_near()
+        self._near = self._solve_near()
         self._on_readings.pop("near", None)
         self._near_age = 0
 
     def _renew_far(self, rounds: int) -> None:
-        self.far_modes = self._solve_far(rounds)
+        self._far = self._solve_far(rounds)
         self._on_readings.pop("far", None)
         self._far_age = 0
 
-    def _solve_near(self) -> Vector:
+    def _solve_near(self) -> _Solution:
         rows = self._estimate.rows
         doubt = len(self._weights) * self._estimate.weakest_covariance()
         return self._solve(rows, np.ones(len(self._weights)), doubt)
 
-    def _solve_far(self, rounds: int) -> Vector:
+    def _solve_far(self, rounds: int) -> _Solution:
         rows = self._estimate.rows
-        gain = np.empty_like(rows)
-        for _ in range(rounds):
-            doubt = self._estimate.weighted_covariance(self._weights)
-            gain = self._solve(rows, self._weights, doubt)
-            corrected = np.einsum("mn,mn->n", rows, gain)
-            self._weights = 1.0 / np.clip(corrected, 1.0 / self._settings.longest, 1.0)
-        return gain
+        doubt = self._estimate.weighted_covariance(self._weights)
+        solution = self._solve(rows, self._weights, doubt)
+        corrected = np.einsum("mn,mn->n", rows, solution.gain)
+        self._weights = 1.0 / np.clip(corrected, 1.0 / self._settings.longest, 1.0)
+        return solution if rounds == 1 else self._solve_far(rounds - 1)
 
-    def _solve(self, rows: Vector, weights: Vector, doubt: Vector) -> Vector:
-        """Give (Σ w_i (R̂_i R̂_iᵀ + doubt))⁻¹ w_i R̂_i.
+    def _solve(self, rows: Vector, weights: Vector, doubt: Vector) -> _Solution:
+        """Minimise the squares.
 
         Args:
             rows: R̂_i as columns, shape (m, n).
             weights: w_i, shape (n,).
             doubt: The sum of the covariances, shape (m, m).
         """
-        from scipy.linalg import get_lapack_funcs  # half a second of a loop that never learns
-
         half = rows * np.sqrt(weights)
         squared = half @ half.T
         squared += self._settings.caution * doubt
-        squared.flat[:: len(squared) + 1] += self._settings.regularisation**2
-        weighted = np.multiply(rows.T, weights[:, None]).T  # in the order of LAPACK
-        (solve,) = get_lapack_funcs(("posv",), dtype=np.float64)
-        _, gain, failed = solve(squared, weighted, lower=1)
-        if failed:  # without any doubt a mode of no strength has no inverse
-            return _pseudo_inverse(squared) @ weighted
-        return gain
+        squared.flat[:: len(squared) + 1] += self._bend
+        inverse = _inverse(squared)
+        return _Solution(inverse @ (rows * weights), inverse, self._bend)
+
+
+def _inverse(squared: Vector) -> Vector:
+    """The inverse of a matrix of no negative eigenvalue, shape (m, m)."""
+    from scipy.linalg import get_lapack_funcs  # half a second of a loop that never learns
+
+    decompose, invert = get_lapack_funcs(("potrf", "potri"), dtype=np.float64)
+    factor, failed = decompose(squared, lower=1)
+    if failed:  # without any doubt a mode of no strength has no inverse
+        return _pseudo_inverse(squared)
+    half, _ = invert(factor, lower=1)  # below the diagonal
+    return half + np.tril(half, -1).T
 
 
 def _pseudo_inverse(matrix: Vector) -> Vector:

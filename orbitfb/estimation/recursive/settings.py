@@ -97,6 +97,12 @@ class CautionSettings(Settings):
     regularisation: float = Field(
         default=0.0, ge=0.0, description="Tikhonov λ beside the caution [R]."
     )
+    price: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="ν, the price of a current that is held: λ of its corrector, for every ampere "
+        "since the loop closed [R/A].",
+    )
     longest: float = Field(
         default=10.0,
         ge=1.0,

@@ -9,8 +9,10 @@ from orbitfb.policies.adaptive import AdaptivePolicy
 from orbitfb.policies.adaptive_settings import AdaptiveSettings
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.store.kinds import kind_of
+from orbitfb.safety.limits import LimitSettings
 
 NOISE = 0.2e-6
+LIMITS = LimitSettings()
 EVERY = np.ones(BPMS, dtype=bool)
 
 
@@ -166,14 +168,48 @@ def test_a_trip_takes_back_what_was_learnt_shortly_before():
     assert policy.response is kept
 
 
-@pytest.mark.parametrize("strength", [2e-6, 2e-7, 2e-9])
-def test_a_mode_that_is_known_to_have_lost_its_response_gets_little_current(strength):
-    """Where nothing is doubted, a micrometre asks for 0.3 A at most, however weak the mode is."""
-    defaults = AdaptiveSettings()
+def weak_mode(strength):
+    """A response whose weakest mode has a strength [m/A], and that mode of the orbit, (n,)."""
     left, _, right = np.linalg.svd(make_response())
     strengths = np.full(CORRECTORS, 1e-4)
     strengths[-1] = strength
-    response = (left[:, :CORRECTORS] * strengths) @ right
-    known = [1e-20 * np.eye(CORRECTORS)] * defaults.tracking.groups
-    state = AdaptivePolicy(response, defaults, known).initial_state()
-    assert np.linalg.norm(state.gain.near_modes, 2) <= 0.3 / 1e-6
+    return (left[:, :CORRECTORS] * strengths) @ right, left[:, CORRECTORS - 1]
+
+
+def state_that_knows(response, period=30):
+    """The defaults, with no doubt about a response."""
+    settings = AdaptiveSettings()
+    caution = settings.caution.model_copy(update={"period": period})
+    known = [1e-20 * np.eye(CORRECTORS)] * settings.tracking.groups
+    policy = AdaptivePolicy(response, settings.model_copy(update={"caution": caution}), known)
+    return policy, policy.initial_state()
+
+
+@pytest.mark.parametrize("strength", [2e-6, 2e-7, 2e-9])
+def test_a_mode_that_is_known_to_have_lost_its_response_gets_little_current(strength):
+    """Where nothing is doubted, an orbit x asks for x / 2 λ at most, however weak its mode is."""
+    response, _ = weak_mode(strength)
+    _, state = state_that_knows(response)
+    damping = AdaptiveSettings().caution.regularisation
+    assert np.linalg.norm(state.gain.near_modes, 2) <= 0.5001 / damping
+
+
+@pytest.mark.parametrize("strength", [1e-5, 2e-6, 1e-6, 5e-7, 1e-7, 1e-9])
+@pytest.mark.parametrize("period", [30, 10_000])
+def test_an_orbit_that_a_weak_mode_cannot_reach_does_not_wind_the_correctors_up(strength, period):
+    """No corrector comes to more than √(d / ν), and a mode that can answer corrects its orbit."""
+    response, mode = weak_mode(strength)
+    policy, state = state_that_knows(response, period)
+    size, price = 10e-6, AdaptiveSettings().caution.price
+    held, largest = np.zeros(CORRECTORS), 0.0
+    for _ in range(3000):
+        orbit = size * mode + response @ held
+        change, state = policy.act(orbit, EVERY, state)
+        change *= min(1.0, LIMITS.change_per_tick / np.abs(change).max())
+        state = inform(policy, orbit, EVERY, change, state)
+        held = held + change
+        largest = max(largest, float(np.abs(held).max()))
+    assert largest <= 1.05 * np.sqrt(size / price)
+    assert np.abs(change).max() < 1e-3
+    left = np.linalg.norm(orbit) / size
+    assert left < 0.01 if strength > 5e-6 else left <= 1.01
