@@ -9,6 +9,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.lines import strongest_line
 from orbitfb.diagnose.hypotheses.noise_laws import scan_colour, scan_level
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import RandomLaw
@@ -163,25 +164,39 @@ def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate
     likely struck instead of the largest projection, until none is worth its choice among all rows.
     Few strokes are far above the walk that they are on average, so the floor may have any shape.
     """
-    space = scorer.space
-    transform = space.transform
-    seen = (law.patterns.T @ space.noise.modes) ** 2
-    weights = (1.0 / space.noise.variance(transform)) @ seen.T
-    own = weights.mean(axis=0)
     along = scorer.rows.late @ law.patterns
+    _, own = _at_places(law.patterns, scorer)
     hopeful = np.argsort(-np.max(along**2, axis=0) / own)[:STROKE_PLACES]
-    best: tuple[float, int, Vector] = (-np.inf, int(hopeful[0]), np.zeros(len(along)))
-    for place in map(int, hopeful):
-        found = pursued(along[:, place], weights[:, place], transform)
-        if found[0] > best[0]:
-            best = (found[0], place, found[1])
-    gain, place, strokes = best
+    found = [_struck(kind, law, scorer, place) for place in map(int, hopeful)]
+    struck = [one for one in found if one is not None]
+    return sorted(struck, key=lambda one: -one.evidence)[:1]
+
+
+def _at_places(patterns: Matrix, scorer: Scorer) -> tuple[Matrix, Vector]:
+    """Information of a step along patterns at every frequency, shape (T, D), and its mean, (D,)."""
+    noise = scorer.space.noise
+    weights = (1.0 / noise.variance(scorer.space.transform)) @ ((patterns.T @ noise.modes) ** 2).T
+    return weights, weights.mean(axis=0)
+
+
+def _struck(kind: EffectKind, law: RandomLaw, scorer: Scorer, place: int) -> Candidate | None:
+    """The strokes at a place; None: they are less than two."""
+    space, pattern = scorer.space, law.patterns[:, [place]]
+    pull = (scorer.rows.late @ pattern)[:, 0]
+    gain, strokes = pursued(pull, _at_places(pattern, scorer)[0][:, 0], space.transform)
     if np.count_nonzero(strokes) < 2:
-        return []
-    evidence = gain - float(np.log(len(own))) - VALUE_COST
+        return None
+    evidence = gain - float(np.log(law.patterns.shape[1])) - VALUE_COST
     whole = _candidate(kind, law, space, place, float(np.mean(strokes**2)), evidence)
-    field = np.outer(transform.turn(strokes[:, None])[:, 0], law.patterns[:, place])
-    return [replace(whole, walk=None, field=field, cost=None)]
+    field = space.transform.turn(strokes[:, None]) @ pattern.T
+
+    def again(after: Workspace) -> Candidate:
+        over_it = Scorer.of(over(space, after))
+        return _struck(kind, law, over_it, place) or replace(one, evidence=0.0)
+
+    cost = scorer.likelihood(field) - evidence
+    one = replace(whole, walk=None, field=field, cost=cost, again=again)
+    return one
 
 
 def pursued(pull: Vector, weights: Vector, transform: StepTransform) -> tuple[float, Vector]:

@@ -258,4 +258,5 @@ def _beside(one: Candidate, best: Candidate) -> bool:
 
     Whatever that device does is a random course to a floor that was estimated without it.
     """
-    return best.courseless and not set(one.names).isdisjoint(best.names)
+    ring = one.kind is best.kind and not one.names and not best.names
+    return best.courseless and (ring or not set(one.names).isdisjoint(best.names))
