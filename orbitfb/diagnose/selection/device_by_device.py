@@ -15,7 +15,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
@@ -25,18 +24,18 @@ from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.levels import courses_of, likeliest, weighed
 from orbitfb.estimation.priors import (
     FINENESS,
     FIRST_STATES,
     NEARER,
     NEARER_TURNS,
-    PARTNERS,
     SLOPE,
     SURE,
     VALUE_SCATTER,
     WIDER,
 )
-from orbitfb.estimation.transform import Indices, Matrix
+from orbitfb.estimation.transform import Matrix
 
 _FURTHEST = float(np.log(2.0))
 """Logarithm by which a value moves in a step, at most: courses are not straight for longer."""
@@ -57,7 +56,7 @@ def device_by_device(one: Candidate, space: Workspace) -> Candidate:
     if not kind.remembers or one.onset or len(one.sources) != 1 or one.again is not None:
         return one
 
-    def weighed(found: Candidate, lower: Scorer, beside: Scorer) -> Candidate:
+    def told_over(found: Candidate, lower: Scorer, beside: Scorer) -> Candidate:
         near = _nearest(found, lower, cost_of(kind, one.values, lower), beside)
         told = lower.likelihood(np.asarray(near.field))
         return replace(near, cost=told - near.evidence, again=partial(again, near))
@@ -66,13 +65,13 @@ def device_by_device(one: Candidate, space: Workspace) -> Candidate:
         lower = Scorer.of(over(space, after))
         cost = cost_of(kind, one.values, lower)
         widest = next(p.high for p in kind.fitted(space.signals.record) if p.log)
-        return weighed(_wider(one, widest, lower, cost), lower, lower)
+        return told_over(_wider(one, widest, lower, cost), lower, lower)
 
     def again(found: Candidate, after: Workspace) -> Candidate:
         lower = over(space, after)
         errors = found.driving(lower)  # follow what its devices have, but the law what was asked
         beside = replace(errors, signals=lower.signals, courses=lower.courses)
-        return weighed(found, Scorer.of(lower), Scorer.of(beside.with_noise(after.noise)))
+        return told_over(found, Scorer.of(lower), Scorer.of(beside.with_noise(after.noise)))
 
     return replace(one, again=first)
 
@@ -204,8 +203,8 @@ def _times(source: Course, name: str, factor: Vector | float) -> Course:
 def _own(source: Course, name: str, reach: float, scorer: Scorer) -> Course:
     """Choose the likeliest value of every device among some on both sides of that it has."""
     factors = np.exp(reach * np.linspace(-1.0, 1.0, FIRST_STATES))
-    several = [_courses(_times(source, name, factor), scorer) for factor in factors]
-    number, _ = _chosen(*_weighed(source, several, scorer))
+    several = [courses_of(_times(source, name, factor), scorer) for factor in factors]
+    number, _ = likeliest(*weighed(source, several, scorer))
     return _times(source, name, factors[number])
 
 
@@ -231,21 +230,21 @@ def _nearer(
     by_state = [
         (after - before) / (high - low)
         for after, before in zip(
-            _courses(replace(source, first=high), scorer),
-            _courses(replace(source, first=low), scorer),
+            courses_of(replace(source, first=high), scorer),
+            courses_of(replace(source, first=low), scorer),
             strict=True,
         )
     ]
     by_value = [
         (after - before) / (2.0 * SLOPE)
         for after, before in zip(
-            _courses(_times(source, name, 1.0 + SLOPE), scorer),
-            _courses(_times(source, name, 1.0 - SLOPE), scorer),
+            courses_of(_times(source, name, 1.0 + SLOPE), scorer),
+            courses_of(_times(source, name, 1.0 - SLOPE), scorer),
             strict=True,
         )
     ]
-    several = [by_state, by_value, _courses(source, scorer)]
-    pull, information = _weighed(source, several, scorer)
+    several = [by_state, by_value, courses_of(source, scorer)]
+    pull, information = weighed(source, several, scorer)
     left = (pull - information[:, :, 2].sum(axis=2))[:2].reshape(-1)  # beside what is there already
     inner = information[:2, :, :2].reshape(2 * count, 2 * count)
     apart, one_for_all = np.log(source.own.get(name, np.ones(count))), not scatter
@@ -281,75 +280,8 @@ def _states(source: Course, levels: Matrix, scorer: Scorer) -> tuple[Vector, flo
         scorer: Of what is left to explain.
     """
     each = np.broadcast_to(levels, (len(levels), len(source.size)))
-    several = [_courses(replace(source, first=one), scorer) for one in each]
-    state, gain = _chosen(*_weighed(source, several, scorer))
+    several = [courses_of(replace(source, first=one), scorer) for one in each]
+    state, gain = likeliest(*weighed(source, several, scorer))
     best = gain.max(axis=0)
     cost = -np.log(np.mean(np.exp(gain - best), axis=0))
     return each[state, np.arange(len(state))], float(cost.sum())
-
-
-def _courses(source: Course, scorer: Scorer) -> list[Matrix]:
-    """Courses of the devices, block by block, shape (N, k) each."""
-    courses = source.of(scorer.space.signals, source.values)
-    return [np.broadcast_to(one, (len(one), len(source.size))) * source.size for one in courses]
-
-
-def _weighed(
-    source: Course, several: list[list[Matrix]], scorer: Scorer
-) -> tuple[Matrix, NDArray[np.float64]]:
-    """Pull (L, k) and information (L, k, L, k) of L courses of every device.
-
-    Args:
-        source: Whose devices they are.
-        several: The courses, L times block by block, shape (N, k) each.
-        scorer: Of what is left to explain.
-    """
-    count, size = len(several), len(source.size)
-    chosen = list(source.places) if source.places else slice(None)
-    patterns = [one[:, chosen] for one in source.law.patterns]
-    turned = scorer.space.transform.quick_spectrum
-    spectrum = np.hstack([turned(one) for level in several for one in level])
-    pull, information = scorer.columns(patterns, spectrum)
-    return pull.reshape(count, size), information.reshape(count, size, count, size)
-
-
-def _chosen(pull: Matrix, information: NDArray[np.float64]) -> tuple[Indices, Matrix]:
-    """Numbers of the best levels of devices, shape (k,), and what each level gains, (L, k).
-
-    One device after the other, then each with those that act most like it: what one of two that
-    are alike has too much, the other has too little, and neither is better for itself.
-
-    Args:
-        pull: Shape (L, k).
-        information: Of all pairs, shape (L, k, L, k).
-    """
-    count = pull.shape[1]
-    own = np.einsum("lklk->lk", information)
-    middle, devices = len(pull) // 2, np.arange(count)
-    state = np.full(count, middle)
-    usual = np.sqrt(np.maximum(own[middle], 1e-300))
-    alike = np.abs(information[middle, :, middle]) / np.outer(usual, usual)
-    alike[devices, devices] = -1.0
-    partners = np.argsort(-alike, axis=1)[:, :PARTNERS]
-    total = information[:, :, state, devices].sum(axis=2)
-    gain, alone = np.zeros_like(pull), pull - 0.5 * own
-    for _ in range(len(pull)):
-        before = state.copy()
-        for one in devices:
-            for other in (one, *partners[one]):
-                both = [one] if other == one else [one, other]
-                rest = total[:, both] - sum(information[:, both, state[its], its] for its in both)
-                gains = (alone[:, both] - rest).T
-                if other == one:
-                    gain[:, one] = gains[0]
-                    found = (int(np.argmax(gains[0])),)
-                else:
-                    joint = gains[0][:, None] + gains[1] - information[:, one, :, other]
-                    found = np.unravel_index(int(np.argmax(joint)), joint.shape)
-                for its, level in zip(both, found, strict=True):
-                    if level != state[its]:
-                        total += information[level, its] - information[state[its], its]
-                        state[its] = level
-        if np.array_equal(before, state):
-            break
-    return state, gain
