@@ -156,12 +156,12 @@ def _unsure(patterns: Matrix, space: Workspace, precision: Matrix) -> Vector:
 
 
 def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate]:
-    """Amplitudes that come in a few rows only, one after the other: matching pursuit.
+    """Amplitudes that come in a few rows only: orthogonal matching pursuit.
 
     A single one is a jump, which is another effect.
 
-    S. Mallat and Z. Zhang, IEEE Trans. Signal Process. 41 (1993) 3397, with the row that is most
-    likely struck instead of the largest projection, until none is worth its choice among all rows.
+    Y. C. Pati et al., Asilomar Conf. Signals (1993) 40, with the row that is most likely struck
+    instead of the largest projection, until none is worth its choice among all rows.
     Few strokes are far above the walk that they are on average, so the floor may have any shape.
     """
     along = scorer.rows.late @ law.patterns
@@ -202,26 +202,34 @@ def _struck(kind: EffectKind, law: RandomLaw, scorer: Scorer, place: int) -> Can
 def pursued(pull: Vector, weights: Vector, transform: StepTransform) -> tuple[float, Vector]:
     """Evidence of strokes at single rows, and the strokes of every row, shape (T,).
 
+    Rows are chosen one after the other, and the sizes of all are told together.
+
     Args:
         pull: Of a stroke at every step, shape (T,).
         weights: Information of it at every frequency, shape (T,).
         transform: Of the record.
     """
     own, cost = transform.at_rows(weights), float(np.log(len(pull)))
-    left, strokes = pull.copy(), np.zeros(len(pull))
-    gains: list[float] = []
-    while len(gains) < STROKES * len(pull):
+    left, struck = pull.copy(), list[int]()
+    basis, information = np.zeros((len(pull), 0)), np.zeros((0, 0))
+    sizes = np.zeros(0)
+    while len(struck) < STROKES * len(pull):
         row = int(np.argmax(left**2 / own))
         square = float(left[row] ** 2 / own[row])
-        gain = 0.5 * square - cost - 0.5 * float(np.log1p(square))
-        if gain < MORE:
+        if row in struck or 0.5 * square - cost - 0.5 * float(np.log1p(square)) < MORE:
             break
-        gains.append(gain)
+        struck.append(row)
         stroke = np.zeros((len(pull), 1))
-        stroke[row] = left[row] / own[row]
-        strokes += stroke[:, 0]
-        left = left - transform.turn(weights[:, None] * transform.turn(stroke))[:, 0]
-    return sum(gains), strokes
+        stroke[row] = 1.0
+        basis = np.hstack([basis, transform.turn(stroke)])
+        information = np.pad(information, (0, 1))
+        information[-1] = information[:, -1] = basis.T @ (weights * basis[:, -1])
+        sizes = np.linalg.solve(information, pull[struck])
+        left = pull - transform.turn((weights * (basis @ sizes))[:, None])[:, 0]
+    strokes = np.zeros(len(pull))
+    strokes[struck] = sizes
+    chosen = len(struck) * cost + 0.5 * float(np.sum(np.log1p(own[struck] * sizes**2)))
+    return 0.5 * float(pull @ strokes) - chosen, strokes
 
 
 def _candidate(

@@ -179,9 +179,10 @@ def tournament(
             led = best
             rounds.pop()
             continue
+        won = best.evidence  # over the floor that it leaves it would be told against less
         best, after = settled(best, space.trusting())
         space = redrawn(after)
-        accepted.append(best)
+        accepted.append(replace(best, evidence=won))
 
 
 def _leading(candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -1,9 +1,14 @@
 """Strokes at single rows, also where a record is in pieces of all lengths."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from orbitfb.diagnose.hypotheses.random_laws import pursued
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.estimation.transform import StepTransform
+from tests.unit.hypotheses.small_records import NOISE, kinds_for, make_record
 
 
 def test_strokes_are_found_at_their_rows_with_their_sizes() -> None:
@@ -24,3 +29,21 @@ def test_strokes_are_found_at_their_rows_with_their_sizes() -> None:
     np.testing.assert_allclose(found[places], true[places], rtol=0.1)
     most = 0.5 * float(true @ pull)
     assert 0.5 * most < evidence < 1.1 * most
+
+
+def test_an_offset_that_moves_in_steps_is_one_cause_with_all_its_steps() -> None:
+    rng = np.random.default_rng(5)
+    record = make_record(41)
+    rows = np.sort(rng.choice(np.arange(20, 880), 12, replace=False))
+    steps = NOISE * rng.uniform(10.0, 30.0, len(rows)) * rng.choice([-1.0, 1.0], len(rows))
+    readings = record.readings.copy()
+    for row, step in zip(rows, steps, strict=True):
+        readings[row:, 6] += step
+    record = replace(record, readings=readings)
+    space = Workspace.of(record, kinds_for(record))
+    (found,), rounds = tournament(space, kinds_for(record))
+    assert (found.kind.id, found.names) == ("bpm-walk", ("B6 (x)",))
+    assert found.evidence == rounds[0].candidates[0].evidence
+    told = np.diff(space.transform.summed(np.asarray(found.field))[:, 6])
+    np.testing.assert_array_equal(1 + np.flatnonzero(abs(told) > 3.0 * NOISE), rows)
+    np.testing.assert_allclose(told[rows - 1], steps, atol=3.0 * NOISE)
