@@ -179,10 +179,12 @@ def tournament(
             led = best
             rounds.pop()
             continue
-        won = best.evidence  # over the floor that it leaves it would be told against less
+        won = best.evidence
         best, after = settled(best, space.trusting())
+        if best.evidence != won:  # over the floor that it leaves nothing else explains it
+            best = replace(best, evidence=won)
         space = redrawn(after)
-        accepted.append(replace(best, evidence=won))
+        accepted.append(best)
 
 
 def _leading(candidates: Sequence[Candidate]) -> list[Candidate]:
