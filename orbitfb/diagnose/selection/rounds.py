@@ -179,10 +179,7 @@ def tournament(
             led = best
             rounds.pop()
             continue
-        won = best.evidence
         best, after = settled(best, space.trusting())
-        if best.evidence != won:  # over the floor that it leaves nothing else explains it
-            best = replace(best, evidence=won)
         space = redrawn(after)
         accepted.append(best)
 
