@@ -190,7 +190,8 @@ step of the grid; the value alone is then sought to FINENESS."""
 
 FIRST_STATES = 5
 """States, from one end to the other, that a device that remembers may have had in the first row. By
-hand: what is left between them is told by steps, and by finer levels (`NEARER_TURNS`)."""
+hand: what is left between them is told by steps, and by finer levels (`NEARER_TURNS`). As many
+values of its own are tried of each device."""
 
 NEARER_TURNS = 6
 """Times that states are told more finely, at most: each halves the distance between levels."""

@@ -141,15 +141,14 @@ def _nearest(one: Candidate, scorer: Scorer, cost: float, beside: Scorer) -> Can
         found = _of(one, near.sources[0], scorer, cost)
         return replace(found, evidence=found.evidence - more)
 
-    near, name = _of(one, one.sources[0], beside, cost), _name(one)
-    if one.sources[0].own:
-        return told(*_sought(near, name, beside, cost, VALUE_SCATTER))
-    near, chosen = _sought(near, name, beside, cost)
-    alike = told(near, chosen)
-    if len(near.sources[0].size) == 1:
-        return alike
+    near, name, alike = _of(one, one.sources[0], beside, cost), _name(one), None
+    if not one.sources[0].own:
+        near, chosen = _sought(near, name, beside, cost)
+        alike = told(near, chosen)
+        if len(near.sources[0].size) == 1:
+            return alike
     unlike = told(*_sought(near, name, beside, cost, VALUE_SCATTER))
-    return unlike if unlike.evidence > alike.evidence + SURE else alike
+    return unlike if alike is None or unlike.evidence > alike.evidence + SURE else alike
 
 
 def _sought(
@@ -211,7 +210,7 @@ def _own(source: Course, name: str, reach: float, scorer: Scorer) -> Course:
 def _nearer(
     source: Course, name: str, scorer: Scorer, scatter: float
 ) -> tuple[Course, float, float]:
-    """Go a step of Gauss and Newton: the states, the value or values, and what is not known [nats].
+    """Go a step of Gauss and Newton, to better states and a better value, or values.
 
     A state is anywhere within the play with the same probability; what is known of it is told as
     that of a normal one of the same variance. Where nothing shows, state and value stay.
@@ -223,7 +222,7 @@ def _nearer(
         scatter: Of the logarithms of the devices' own values; 0: they have one.
 
     Returns:
-        The course, what its numbers cost, and the scatter as it shows.
+        The course, what its states and own values cost [nats], and the scatter as it shows.
     """
     count, first = len(source.size), _held(source)
     low, high = np.maximum(first - SLOPE, -1.0), np.minimum(first + SLOPE, 1.0)

@@ -38,8 +38,8 @@ from orbitfb.estimation.recursive.settings import CautionSettings
 
 _FIRST_ROUNDS = 3
 _OUTGROWN = 2.0
-"""How often p″ for which a gain was made p″ may be before it is renewed at once [1]: from twice on
-Newton's steps do not converge."""
+"""Growth of p″ since a gain was made, from which it is renewed at once [1]. A Newton step with half
+of the second derivative goes twice as far as it should, and does not converge."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

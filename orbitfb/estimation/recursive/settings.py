@@ -95,7 +95,7 @@ class CautionSettings(Settings):
         "next reading removes costs only once [1]. 0: no caution, for comparison only.",
     )
     regularisation: float = Field(
-        default=0.0, ge=0.0, description="Tikhonov λ beside the caution [R]."
+        default=0.0, ge=0.0, description="Tikhonov λ beside the caution, or of small currents [R]."
     )
     price: float = Field(
         default=0.0,
