@@ -10,7 +10,8 @@ class TrackingSettings(RecursiveSettings):
     """What a loop knows of a ring beforehand. [R] is m/A.
 
     The drifts are those of the preset `strong`: a random walk of 10,000 ticks ends as far away,
-    √2 · 3 µm/A an element and 3 % a gain.
+    √2 · 3 µm/A an element and 3 % a gain. In a straight line that is 0.42 nm/A a tick, of which
+    2.4 A make the white part of the creep.
     """
 
     ground: float = Field(
@@ -40,7 +41,13 @@ class TrackingSettings(RecursiveSettings):
         description="Creep of the orbit that a drift of R makes of setpoints that stay, rms over "
         "the modes, each in proportion to its singular value [m/tick]; 0: no such coefficient.",
     )
-
+    creep_held: float | None = Field(
+        default=2.4,
+        gt=0.0,
+        description="Norm of the currents for which this creep is told, those of before the loop "
+        "closed; it grows and turns with what is held since [A]. Unset: it is the same whatever "
+        "is held.",
+    )
     rf_creep: float = Field(
         default=0.02,
         ge=0.0,

@@ -59,6 +59,7 @@ class Coefficients:
         # of every P only the triangle that BLAS calls the lower one is kept up to date
         self._covariances = np.array([group.covariance for group in groups], dtype=precision)
         self._diagonals = self._covariances.reshape(len(groups), -1)[:, :: len(drift) + 1]
+        self._last = self._diagonals[:, -1].copy()
         self._rounding = precision(np.finfo(precision).eps * np.sqrt(len(drift)))
         self._cross = np.zeros((len(groups), len(drift)), dtype=precision)
         self.extra, self.doubt = np.zeros((2, len(groups)))
@@ -151,6 +152,14 @@ class Coefficients:
         np.multiply(self._drift, ticks, out=self._product)
         self._covariances += self._product
         self._diagonals += ticks * self._diagonal
+
+    def turn(self, kept: float) -> None:
+        """Know of the last coefficient only a share, from −1 to 1; the rest is what it may be."""
+        self.rows[:, -1] *= kept
+        self._cross[:, -1] *= kept
+        self._covariances[:, -1, :] *= kept
+        self._covariances[:, :, -1] *= kept
+        self._diagonals[:, -1] += (1.0 - kept**2) * self._last
 
     def traces(self) -> Vector:
         """Give the trace of P of every group, shape (groups,)."""

@@ -6,7 +6,8 @@ With the orbit x, the change a and the reading y of a mode, of which R_i is the 
 
 x and the coefficients θ = (R_i, b) are one Gaussian state. Its Kalman filter needs, of every
 group of modes that share their noise, the covariance P of θ, the vector c = cov(θ, x) and the
-number p = var(x). With the regressor u = (a, 1) a tick is
+number p = var(x). With the regressor u = (a, 1), or what stands for 1 where the creep grows with
+what is held (`orbitfb.estimation.recursive.held`), a tick is
 
     p ← p + uᵀ(2c + P u) + q,   c ← c + P u,   x̂ ← x̂ + θ̂ᵀ u          (prediction)
     S = p + r²,   ν = y − x̂,
@@ -39,6 +40,7 @@ from orbitfb.estimation.columns import Columns, KnownRf
 from orbitfb.estimation.recursive.block import Block
 from orbitfb.estimation.recursive.coefficients import Coefficients
 from orbitfb.estimation.recursive.group import make_groups, step_variances
+from orbitfb.estimation.recursive.held import HeldCurrents
 from orbitfb.estimation.recursive.kicks import Kicks
 from orbitfb.estimation.recursive.orbit import OrbitFilter, at_rest
 from orbitfb.estimation.recursive.said import Filtered, Innovation
@@ -105,6 +107,10 @@ class RecursiveResponse:
         self._weights, self._group_of = np.array(sizes) / n, np.repeat(np.arange(count), sizes)
         steps = np.array([*self._steps, *(group.step for group in groups)])
         self._filter = OrbitFilter(steps, self._noise)
+        self._creeps, self._held = (
+            settings.creep > 0.0,
+            HeldCurrents(self._size, settings.creep_held),
+        )
         self._since_drift, self._doubt, self._told = 0, 0.0, 0.0
         self.reset()
 
@@ -122,9 +128,9 @@ class RecursiveResponse:
     @property
     def creep(self) -> Vector:
         """The creep b̂ in every mode, shape (n,) [m/tick]."""
-        if self.settings.creep == 0.0:
+        if not self._creeps:
             return np.zeros(len(self._orbit))
-        return self._coefficients.rows[:, -1].astype(np.float64)
+        return self._held.load * self._coefficients.rows[:, -1].astype(np.float64)
 
     @property
     def column(self) -> Vector | None:
@@ -221,6 +227,9 @@ class RecursiveResponse:
             self._add_drift()
         regressor = self._block.next()
         regressor[: self._size] = change
+        if self._creeps:
+            self._held.add(change)
+            regressor[-1] = self._held.load
         if self._columns.rf is not None:
             regressor[self._size] = hertz / self._columns.unit
         self._orbit += self._coefficients.rows.dot(regressor)
@@ -315,4 +324,6 @@ class RecursiveResponse:
         self.settle()
         if self._since_drift:
             self._coefficients.add_drift(self._since_drift)
+            if self._creeps:
+                self._coefficients.turn(self._held.turned())
             self._since_drift = 0

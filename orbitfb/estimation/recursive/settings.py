@@ -58,6 +58,13 @@ class RecursiveSettings(Settings):
     creep_white: float = Field(
         default=1e-9, ge=0.0, description="The part of the creep that all modes have, rms [m/tick]."
     )
+    creep_held: float | None = Field(
+        default=None,
+        gt=0.0,
+        description="Norm of the currents for which this creep is told, those of before the loop "
+        "closed; it grows and turns with what is held since [A, or rad where changes are kicks]. "
+        "Unset: it is the same whatever is held.",
+    )
     rf_creep: float = Field(
         default=0.0,
         ge=0.0,

@@ -39,6 +39,13 @@ class Textbook:
     def drift(self, ticks):
         self.covariance[:, :-1, :-1] += ticks * self.drifts
 
+    def turn(self, kept, priors):
+        """Of the creep, the last coefficient, a share stays known."""
+        step = np.diag([*np.ones(len(self.state[0]) - 2), kept, 1.0])
+        self.state = self.state @ step
+        self.covariance = step @ self.covariance @ step
+        self.covariance[:, -2, -2] += (1.0 - kept**2) * priors
+
     def predict(self, regressor):
         step = np.eye(len(regressor) + 1)
         step[-1, :-1] = regressor
@@ -85,16 +92,38 @@ def textbook(estimate, whole, settings, unit, energy):
     return Textbook(np.column_stack([rows, np.zeros(len(rows))]), priors, drifts)
 
 
+class Held:
+    """Currents, and one that nobody changes, as a vector whose length and angles are looked at."""
+
+    def __init__(self, size, norm):
+        self.norm = norm
+        self.now = self.then = np.append(np.zeros(size), norm)
+
+    def add(self, change):
+        self.now = self.now + np.append(change, 0.0)
+        return np.linalg.norm(self.now) / self.norm
+
+    def turned(self):
+        both = np.linalg.norm(self.now) * np.linalg.norm(self.then)
+        cosine, self.then = self.now @ self.then / both, self.now
+        return cosine
+
+
 @pytest.mark.parametrize(
     ("surprising", "settled"),
     [(1.5, 1), (1.5, 4), (0.0, 5), (np.inf, 1), (np.inf, 6), (np.inf, 25)],
 )
 @pytest.mark.parametrize(
-    ("n", "m", "groups", "every", "creep", "tracked"),
-    [(7, 9, 3, 10, 0.0, False), (8, 6, 1, 1, 3e-8, False), (12, 14, 12, 7, 3e-8, True)],
+    ("n", "m", "groups", "every", "creep", "tracked", "held"),
+    [
+        (7, 9, 3, 10, 0.0, False, None),
+        (8, 6, 1, 1, 3e-8, False, None),
+        (12, 14, 12, 7, 3e-8, True, None),
+        (12, 14, 12, 7, 3e-8, True, 3e-5),
+    ],
 )
 def test_equals_a_plain_kalman_filter_of_every_mode(
-    n, m, groups, every, creep, tracked, surprising, settled, monkeypatch
+    n, m, groups, every, creep, tracked, held, surprising, settled, monkeypatch
 ):
     """However long the blocks are: without surprises up to `every` ticks, else down to one."""
     monkeypatch.setattr(module, "_PRECISION", np.float64)
@@ -106,13 +135,14 @@ def test_equals_a_plain_kalman_filter_of_every_mode(
     told, energy = generator.standard_normal(n) * 1e-6, 50.0 * generator.standard_normal(m)
     settings = RecursiveSettings(
         reading_noise=NOISE, white=WHITE, minimum_gain=1e-6, prior_entry=0.05, drift_entry=1e-3,
-        drift_every=every, creep=creep, groups=groups,
+        drift_every=every, creep=creep, creep_held=held, groups=groups,
     )  # fmt: skip
     estimate = RecursiveResponse(first, settings, rf=KnownRf(told, energy) if tracked else None)
     unit = np.linalg.norm(first) / np.sqrt(m) / np.linalg.norm(told) if tracked else None
     whole = np.column_stack([first, unit * told]) if tracked else first
     plain = textbook(estimate, whole, settings, unit, energy)
     assert (len(estimate.groups) > 1) == (groups > 1)
+    currents, creeps = Held(m, held or 1e9), plain.covariance[:, -2, -2].copy()
 
     truth, orbit, kicked = first + 0.05 * generator.standard_normal((n, m)), np.zeros(n), []
     for tick in range(TICKS):
@@ -123,9 +153,12 @@ def test_equals_a_plain_kalman_filter_of_every_mode(
         assert plain.read(reading @ estimate.modes, widen=tick == KICKS[2] and kicks) == said.kick
 
         change, hertz = 3e-6 * generator.standard_normal(m), generator.standard_normal() * tracked
-        regressor = [*change, *([hertz / unit] if tracked else []), *([1.0] if creep else [])]
         if tick % every == every - 1:
             plain.drift(every)
+            if creep:
+                plain.turn(currents.turned(), creeps)
+        load = currents.add(change)
+        regressor = [*change, *([hertz / unit] if tracked else []), *([load] if creep else [])]
         estimate.predict(change, hertz)
         plain.predict(np.array(regressor))
         orbit = orbit + truth @ change + 1.2 * hertz * told + WHITE * generator.standard_normal(n)
@@ -135,7 +168,7 @@ def test_equals_a_plain_kalman_filter_of_every_mode(
             its = estimate.orbit @ estimate.modes
             np.testing.assert_allclose(its, plain.state[:, -1], atol=1e-14)
         if creep and tick % settled == 0:
-            np.testing.assert_allclose(estimate.creep, plain.state[:, -2], atol=1e-15)
+            np.testing.assert_allclose(estimate.creep, load * plain.state[:, -2], atol=1e-15)
         if tick % every == every - 1 and tick % 3 == 0:  # what is read changes nothing
             found = (estimate.modes @ plain.state)[:, :m]
             np.testing.assert_allclose(estimate.response, found, atol=1e-9)
