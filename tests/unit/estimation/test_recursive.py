@@ -204,3 +204,39 @@ def test_the_cautious_gain_minimises_the_expected_orbit() -> None:
 def test_a_response_that_is_not_one_is_refused() -> None:
     with pytest.raises(EstimationError, match="finite matrix"):
         RecursiveResponse(np.full((3, 3), np.nan), STILL)
+
+
+def test_the_creep_grows_and_turns_with_what_is_held() -> None:
+    """R drifts in a straight line, and the currents grow along one direction, then another."""
+    size, ticks = 12, 3000
+    generator = np.random.default_rng(8)
+    truth, slope = square_response(size), 1e-4 * generator.standard_normal((size, size))
+    settings = STILL.model_copy(
+        update={
+            "prior_entry": 1e-3,
+            "drift_entry": 1e-4 * np.sqrt(ticks),
+            "creep": 1e-12,
+            "creep_white": 1e-10,
+            "drift_every": 10,
+        }
+    )
+    sides = np.linalg.qr(generator.standard_normal((size, 2)))[0].T
+    missed = {}
+    for held in (None, 1e-6):
+        estimate = RecursiveResponse(truth, settings.model_copy(update={"creep_held": held}))
+        rng = np.random.default_rng(2)
+        orbit, currents, errors = np.zeros(size), np.zeros(size), []
+        for tick in range(ticks):
+            orbit = orbit + slope @ currents + settings.white * rng.standard_normal(size)
+            estimate.read(orbit + NOISE * rng.standard_normal(size))
+            change = 1e-6 * (rng.standard_normal(size) + 0.3 * sides[int(tick > ticks // 2)])
+            estimate.predict(change)
+            orbit = orbit + (truth + tick * slope) @ change
+            currents = currents + change
+            creep = slope @ currents
+            errors.append(
+                np.linalg.norm(estimate.modes @ estimate.creep - creep) / np.linalg.norm(creep)
+            )
+        missed[held] = [float(np.median(part)) for part in np.split(np.array(errors), 10)]
+    assert min(missed[None]) > 0.9
+    assert max(missed[1e-6][3:]) < 0.35  # the currents turn in the middle
