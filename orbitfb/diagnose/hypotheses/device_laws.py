@@ -115,9 +115,8 @@ def _finer(
     if name is None or best.evidence <= 0.0:
         return best
     line = sorted({one[name] for one in grid})
-    place = line.index(top.values[name])
-    ends = line[max(place - GRID_REACH, 0)], line[min(place + GRID_REACH, len(line) - 1)]
-    places, values = top.places, top.values
+    place, places, values = line.index(top.values[name]), top.places, top.values
+    ends = _around(line, place)
     if len(places) > 1:
 
         def scanned(value: float) -> _Found:
@@ -131,8 +130,18 @@ def _finer(
     def near(value: float) -> float:
         return exact(places, {**values, name: value}).evidence
 
-    fine = exact(places, {**values, name: highest(near, ends, FINENESS)})
-    return max(best, fine, key=lambda one: one.evidence)
+    while True:
+        value = highest(near, ends, FINENESS)
+        fine = exact(places, {**values, name: value})
+        nearest = min(range(len(line)), key=lambda at: abs(line[at] - value))
+        if fine.evidence <= best.evidence or line[nearest] not in ends or nearest == place:
+            return max(best, fine, key=lambda one: one.evidence)
+        best, place, ends = fine, nearest, _around(line, nearest)  # the highest may lie beyond
+
+
+def _around(line: Sequence[float], place: int) -> tuple[float, float]:
+    """Values of a grid beside one of them."""
+    return line[max(place - GRID_REACH, 0)], line[min(place + GRID_REACH, len(line) - 1)]
 
 
 def highest(worth: Callable[[float], float], ends: tuple[float, float], fine: float) -> float:

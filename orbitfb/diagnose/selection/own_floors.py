@@ -58,7 +58,7 @@ def _weight(field: Matrix, space: Workspace) -> float:
 
 def refitted(
     candidates: Sequence[Candidate], space: Workspace, enough: float = SURE
-) -> list[Candidate]:
+) -> tuple[list[Candidate], Workspace]:
     """Compare those that lead under floors that are estimated with each of them.
 
     A floor that was estimated without a cause stands in for what the cause does as far as it can,
@@ -69,20 +69,24 @@ def refitted(
     so every floor that is estimated says of all of them how much they have at least: rivals of what
     leads, which no floor of all tells from it, show under its floor and get one of their own.
 
+    It also says how likely the readings are with no cause at all: a saturated model may take up a
+    cause, and the floor of what it leaves is then too low to be the best without one. All are
+    weighed against the best of these floors.
+
     Args:
         candidates: The best first.
         space: That they were tried on.
         enough: Evidence from which one is accepted [nats]; half of it may be in the floor.
 
     Returns:
-        The candidates, the best first.
+        The candidates, the best first, and the workspace over the best floor without any.
     """
     if not candidates or candidates[0].evidence < 0.5 * enough or candidates[0].noisy:
-        return list(candidates)  # what is said of the noise alone is not weighed so
+        return list(candidates), space  # what is said of the noise alone is not weighed so
     candidates = [device_by_device(one, space) for one in candidates]
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
-    base = space.with_floor().log_posterior()
+    base, bare = space.with_floor().log_posterior(), space
     rivals = _Rivals(list(candidates), [one.evidence for one in candidates], enough)
     while (number := rivals.next()) is not None:
         own, after = settled(rivals.candidates[number], space, times=1, spread=False)
@@ -100,8 +104,13 @@ def refitted(
         if gain > best:
             rivals.late_as(own, over(space, after))
         if own.additive:
-            rivals.least(_under(rivals.candidates, space, after, base))
-    return rivals.ranked()
+            lower = over(space, after)
+            more = lower.log_posterior() - base
+            rivals.least(_under(rivals.candidates, lower, more))
+            if more > 0.0:
+                base, bare = base + more, lower
+                rivals.lose(more)
+    return rivals.ranked(), bare
 
 
 @dataclass(slots=True)
@@ -140,6 +149,13 @@ class _Rivals:
             own = self.own.get(number)
             if own is not None and gain > own.evidence:
                 self.own[number] = replace(own, evidence=gain)
+
+    def lose(self, nats: float) -> None:
+        """Learn that no cause at all is likelier than it was thought to be, by so much."""
+        self.worth = [worth - nats for worth in self.worth]
+        self.own = {
+            number: replace(one, evidence=one.evidence - nats) for number, one in self.own.items()
+        }
 
     def late_as(self, own: Candidate, lower: Workspace) -> None:
         """Tell anew when other laws of the same devices begin, over the floor that one leaves.
@@ -232,24 +248,19 @@ def _by_device(one: Candidate) -> bool:
     return one.kind.remembers and one.again is not None
 
 
-def _under(
-    candidates: Sequence[Candidate], space: Workspace, after: Workspace, base: float
-) -> dict[int, float]:
+def _under(candidates: Sequence[Candidate], lower: Workspace, more: float) -> dict[int, float]:
     """Evidence of all that add a course over the floor that one of them leaves [nats], by number.
 
     Args:
         candidates: Of the round.
-        space: That they were tried on.
-        after: With one of them accepted.
-        base: Log posterior without any.
+        lower: Over that floor, without any of them.
+        more: What it is likelier than the best floor without any, so far [nats].
     """
-    lower = over(space, after)
-    without = lower.log_posterior() - base
     scorer = Weighed.of(lower)
     found = {}
     for number, one in enumerate(candidates):
         if one.additive and one.field is not None and one.cost is not None:
-            found[number] = without + scorer.likelihood(one.field) - one.cost
+            found[number] = more + scorer.likelihood(one.field) - one.cost
     return found
 
 

@@ -149,9 +149,10 @@ def tournament(
         if candidates and candidates[0].evidence > 0.5 * enough:
             space = space.saturable()  # every floor from here on begins with it
         drawn = bool(space.signals.record.filled.any())
-        candidates = _last_resort(refitted(candidates, space, enough), bool(accepted), drawn)
+        candidates, bare = refitted(candidates, space, enough)
+        candidates = _last_resort(candidates, bool(accepted), drawn)
         deaf = _coloured(accepted)
-        free = [one for one in scan_free(Scorer.of(space)) if one.name not in deaf][:FINALISTS]
+        free = [one for one in scan_free(Scorer.of(bare)) if one.name not in deaf][:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())

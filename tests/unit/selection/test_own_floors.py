@@ -9,13 +9,14 @@ from benchmarks.small_ring import small_ring
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scan import candidates_of
+from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection import own_floors, rounds
 from orbitfb.diagnose.selection.own_floors import _under, refitted
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import effect
 from orbitfb.records.record import Record
-from tests.unit.hypotheses.small_records import NOISE, kinds_for, make_record
+from tests.unit.hypotheses.small_records import NOISE, Bent, kinds_for, make_record
 
 RING = small_ring()
 LAYOUT = layout_of(RING, "x", 0.1)
@@ -53,7 +54,7 @@ def test_a_wave_and_a_walk_of_one_effect_are_weighed_each() -> None:
     walks = next(one for one in found if one.kind.id == "energy-drift" and one.walk is not None)
     others = [one for one in found if one is not told and one is not walks]
     first = replace(walks, evidence=told.evidence + 1.0)
-    best = refitted([first, told, *others], space)[0]
+    best = refitted([first, told, *others], space)[0][0]
     assert (best.kind.id, best.walk) == ("energy-drift", None)
 
 
@@ -65,7 +66,7 @@ def test_the_course_of_a_gap_is_told_over_the_floor_that_it_leaves() -> None:
     source = 12
     pattern = LAYOUT.orbit_per_kick("QUAD", "x")[:, source]
     space, found = scanned(record_with(np.outer(course, pattern), 21))
-    best = refitted(found, space)[0]
+    best = refitted(found, space)[0][0]
     assert best.kind.id == "insertion-device"
     assert best.names == (f"{RING.names('QUAD')[source]} (x)",)
     left = np.asarray(best.field) - space.transform.spectrum(np.outer(course, pattern))
@@ -87,7 +88,7 @@ def test_of_a_bpm_whose_noise_remembers_no_law_of_its_readings_is_told(
     late = Candidate(effect("bpm-latency"), (3,), ("B3 (x)",), {"ticks": 1.0}, 100.0)
     found = iter(([noise, late], [late], []))
     monkeypatch.setattr(rounds, "candidates_of", lambda *given: next(found))
-    monkeypatch.setattr(rounds, "refitted", lambda candidates, *given: candidates)
+    monkeypatch.setattr(rounds, "refitted", lambda candidates, space, *given: (candidates, space))
     accepted, _ = rounds.tournament(Workspace.of(record, [effect("bpm-gain")]), [])
     assert accepted == ([noise] if coloured else [noise, late])
 
@@ -106,7 +107,7 @@ def test_a_rival_shows_under_the_floor_of_what_leads(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(own_floors, "LEADING", 1)
     first = replace(slew, evidence=true.evidence + 1.0)
     least = replace(true, evidence=0.2 * true.evidence)
-    best, second = refitted([first, least], space)
+    (best, second), _ = refitted([first, least], space)
     assert (best.kind.id, second.kind.id) == ("corrector-stuck", "corrector-slew")
     assert best.evidence > 1.1 * true.evidence
 
@@ -118,11 +119,12 @@ def test_under_the_floor_of_another_one_none_has_more_than_under_its_own() -> No
     told = [one for one in found if one.additive and one.cost is not None and one.evidence > 0.0]
     space = space.saturable()
     base = space.with_floor().log_posterior()
-    own = [refitted([one], space)[0] for one in told]
+    own = [refitted([one], space)[0][0] for one in told]
     best = int(np.argmax([one.evidence for one in own]))
     told[best], after = own[best], own[best].after
     assert after is not None
-    under = _under(told, space, after, base)
+    lower = over(space, after)
+    under = _under(told, lower, lower.log_posterior() - base)
     most = own[best].evidence
     assert under[best] == pytest.approx(most, rel=0.01)
     for number, evidence in under.items():
@@ -140,6 +142,34 @@ def test_a_form_of_an_effect_does_not_stand_for_another_one() -> None:
     single = next(one for one in found if one.sources and len(one.places) == 1)
     some = next(one for one in found if one.columns)
     assert some.evidence > 1.5 * single.evidence
-    best, *_ = refitted([replace(single, evidence=2.0 * some.evidence), some], space)
+    (best, *_), _ = refitted([replace(single, evidence=2.0 * some.evidence), some], space)
     assert best.places == (3, 9)
     assert best.evidence > 0.9 * some.evidence
+
+
+def later(ticks: int) -> Bent:
+    """Setpoints that come into force some rows later."""
+    return lambda currents: currents[[max(len(currents) - 1 - ticks, 0)]]
+
+
+def test_a_cause_is_weighed_against_the_best_floor_without_one() -> None:
+    """A saturated model takes up most of a delay; over the floor of the rest the delay is huge."""
+    record = make_record(5, currents=later(1), dither=0.2)
+    kinds = kinds_for(record)
+    space = Workspace.of(record, kinds)
+    found = candidates_of(space, kinds)
+    (best, *_), bare = refitted(found, space)
+    assert best.kind.id == "loop-delay"
+    assert best.evidence < 0.1 * found[0].evidence
+    for one in found[:8]:
+        without = over(space, one.accepted(space.saturable())).log_posterior()
+        assert without < bare.log_posterior() + 0.1 * best.evidence
+
+
+def test_a_delay_of_a_loop_that_swings_is_found_beyond_the_best_of_the_scan() -> None:
+    """Scanned, it is best at 1.5 ticks; exactly it rises until 2, two steps of the grid away."""
+    record = make_record(5, currents=later(2), gain=0.55)
+    kinds = kinds_for(record)
+    accepted, _ = rounds.tournament(Workspace.of(record, kinds), kinds)
+    assert [one.kind.id for one in accepted] == ["loop-delay"]
+    assert accepted[0].values["ticks"] == pytest.approx(2.0, abs=0.05)
