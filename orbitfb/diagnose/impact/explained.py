@@ -34,7 +34,7 @@ class Explained:
         healthy: Spectrum of what healthy errors add, shape (T, n) [m].
         loose: Spectrum of what the freedom of the causes' values adds, untold, shape (T, n) [m].
         fields: Spectrum of what every cause adds, each of shape (T, n) [m]; None: only noise.
-        pieces: Values of the devices of every cause.
+        pieces: Values of the devices of every part of every cause.
         differences: Of the devices of every candidate's sources, by the candidate's identity.
         noise: The floor.
     """
@@ -44,7 +44,7 @@ class Explained:
     healthy: Matrix
     loose: Matrix
     fields: tuple[Matrix | None, ...]
-    pieces: tuple[tuple[Piece, ...], ...]
+    pieces: tuple[tuple[tuple[Piece, ...], ...], ...]
     differences: Mapping[int, Mapping[int, Differences]]
     noise: StepNoise
 
@@ -189,9 +189,9 @@ class _Taken:
         """What all parts of a cause add."""
         return _total([self.fields[id(p)] for p in cause.parts if id(p) in self.fields])
 
-    def pieces_of(self, cause: Named) -> tuple[Piece, ...]:
-        """Values of all devices of a cause."""
-        return tuple(piece for part in cause.parts for piece in self.pieces[id(part)])
+    def pieces_of(self, cause: Named) -> tuple[tuple[Piece, ...], ...]:
+        """Values of all devices of a cause, by its parts."""
+        return tuple(self.pieces[id(part)] for part in cause.parts)
 
 
 def part_differences(part: Candidate, space: Workspace, sizes: Vector) -> Mapping[int, Differences]:

@@ -85,6 +85,7 @@ def _pieces(
 
 def _of_course(part: Candidate, one: Course, differences: Differences) -> Iterator[Piece]:
     scaled = {parameter.name for parameter in part.kind.sizes}
+    bounds = {parameter.name: (parameter.low, parameter.high) for parameter in part.kind.parameters}
     places = one.places or tuple(range(len(one.law.names)))
     wide = np.broadcast_to(one.size, len(places))
     for number, place in enumerate(places):
@@ -95,6 +96,7 @@ def _of_course(part: Candidate, one: Course, differences: Differences) -> Iterat
             * (1.0 + float(differences[key][number]) if key in differences else 1.0)
             for key, value in one.values.items()
         }
+        values = {key: float(np.clip(value, *bounds[key])) for key, value in values.items()}
         size = part.kind.linear
         grown = values[size] / one.values[size] if size and one.elements else 1.0
         elements = {name: grown * error for name, error in one.elements.items()}

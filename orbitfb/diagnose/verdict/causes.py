@@ -39,20 +39,25 @@ _WHERE = 12
 
 
 def cause_of(
-    one: Named, pieces: tuple[Piece, ...], measured: Measured, scores: ScoreMap | None
+    one: Named,
+    parts: tuple[tuple[Piece, ...], ...],
+    measured: Measured,
+    scores: ScoreMap | None,
 ) -> Cause:
     """Write a cause.
 
     Args:
         one: The cause.
-        pieces: Values of its devices.
+        parts: Values of its devices, by its parts.
         measured: Tells the values.
         scores: Of the places along the ring.
     """
     space = measured.scorer.space
     record = space.signals.record
     members = _members(one, space)
-    pieces = tuple(replace(piece, names=_devices(piece.names, members)) for piece in pieces)
+    pieces = tuple(
+        replace(piece, names=_devices(piece.names, members)) for part in parts for piece in part
+    )
     own = tuple(dict.fromkeys(name for piece in pieces for name in piece.names))
     all_of_them = one.kind.target == "bpm" and len(own) == len(record.layout.bpms)
     named = () if all_of_them or not one.names else own
@@ -65,7 +70,7 @@ def cause_of(
         stage=one.kind.stage,
         places=devices,
         planes=planes,
-        parameters=measured.values(one.kind, one.parts[0], pieces),
+        parameters=measured.values(one.kind, one.parts[0], parts[0]),
         probability=one.probability,
         onset_s=_onset(onset, record),
         alternatives=tuple(dict.fromkeys((*one.rivals, *one.kind.also_called))),

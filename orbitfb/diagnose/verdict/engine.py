@@ -163,8 +163,8 @@ def _told(
 ) -> Iterator[Cause]:
     """The causes with their values."""
     measured = Measured(scorer)
-    for one, pieces in zip(causes, its.pieces, strict=True):
-        yield cause_of(one, pieces, measured, scores)
+    for one, parts in zip(causes, its.pieces, strict=True):
+        yield cause_of(one, parts, measured, scores)
 
 
 def step_count(its: Explained) -> int:

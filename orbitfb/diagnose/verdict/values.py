@@ -49,8 +49,8 @@ class Measured:
 
         Args:
             kind: The effect.
-            part: The candidate that tells them.
-            pieces: Values of its devices.
+            part: The candidate that tells them, the first one of the cause.
+            pieces: Values of its devices; what is left of others is told in later parts.
         """
         spread = self._spread(kind, part)
         told = _largest(kind, pieces) if not part.raised else dict(part.values)

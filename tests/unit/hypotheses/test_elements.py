@@ -53,7 +53,7 @@ def test_a_row_or_a_column_is_named_with_its_elements(
     accepted, rounds = tournament(Workspace.of(told, kinds_for(told)), kinds_for(told))
     assert [(one.kind.id, one.names) for one in accepted] == [(kind, (name,))]
     its = Explained.of(named(accepted, rounds), accepted, rounds)
-    (piece,) = its.pieces[0]
+    ((piece,),) = its.pieces[0]
     true = change[row] if row is not None else change[:, column]
     found = np.array(list(piece.elements.values()))
     assert np.linalg.norm(found - true) < 0.1 * np.linalg.norm(true)
