@@ -56,6 +56,7 @@ SIZES: dict[str, Values] = {
     "bpm-current": {"slope": 3e-4},
     "bpm-drift": {"rate": 0.05e-6},
     "bpm-gain": {"gain": 0.1},
+    "bpm-hum": {"cosine": 3e-7, "sine": -2e-7, "frequency": 0.737},
     "bpm-row": {"share": 0.3},
     "corrector-column": {"share": 0.3},
     "bpm-latency": {"ticks": 2.0},

@@ -124,10 +124,12 @@ class SensorKind(EffectKind):
 
     Attributes:
         undoable: Whether readings tell what would have been read without it: see `restore`.
+        periodic: Whether it is a wave of a frequency, as of `SourceKind`.
     """
 
     target = "bpm"
     undoable: ClassVar[bool] = True
+    periodic: ClassVar[bool] = False
 
     def laws(self, signals: Signals) -> Sequence[Law]:
         """What each BPM makes of the predicted orbit beyond it."""
@@ -148,7 +150,7 @@ class SensorKind(EffectKind):
         return (
             DeviceLaw(
                 (np.eye(len(names)),), course, names, layout.bpms.groups(),
-                undone=undone if self.undoable else None,
+                periodic=self.periodic, undone=undone if self.undoable else None,
             ),
         )  # fmt: skip
 

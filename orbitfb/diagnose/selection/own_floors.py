@@ -43,6 +43,20 @@ def settled(
     return best, after
 
 
+def over_its_floor(one: Candidate, after: Workspace) -> Candidate:
+    """The same with its evidence over the floor that it leaves: what a law that is a little wrong
+    leaves to others is a share of that.
+
+    Args:
+        one: A cause.
+        after: With it accepted.
+    """
+    if one.field is None:
+        return one
+    whole = 0.5 * _weight(one.field, after)
+    return one if whole <= one.evidence else replace(one, evidence=whole)
+
+
 def _told(one: Candidate, after: Workspace) -> Candidate:
     """The same with the sizes that it has over the floor that it leaves."""
     if one.again is None:
@@ -143,12 +157,9 @@ class _Rivals:
         self.own[number] = own
 
     def least(self, found: Mapping[int, float]) -> None:
-        """Learn what some have at least [nats], by number; a floor of their own may be worse."""
+        """Learn what some have at least [nats], by number."""
         for number, gain in found.items():
             self.worth[number] = max(self.worth[number], gain)
-            own = self.own.get(number)
-            if own is not None and gain > own.evidence:
-                self.own[number] = replace(own, evidence=gain)
 
     def lose(self, nats: float) -> None:
         """Learn that no cause at all is likelier than it was thought to be, by so much."""

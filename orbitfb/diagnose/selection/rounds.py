@@ -12,7 +12,7 @@ from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import drawn_apart, over, redrawn
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.healthy_motion import with_motion
-from orbitfb.diagnose.selection.own_floors import refitted, settled
+from orbitfb.diagnose.selection.own_floors import over_its_floor, refitted, settled
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.priors import (
     ALONE,
@@ -98,7 +98,7 @@ def _told_again(causes: Sequence[Candidate], space: Workspace) -> tuple[list[Can
     told = []
     for one in causes:
         best, space = settled(one, space)
-        told.append(best)
+        told.append(over_its_floor(best, space))
     return told, space
 
 
@@ -181,7 +181,7 @@ def tournament(
             rounds.pop()
             continue
         best, after = settled(best, space.trusting())
-        space = redrawn(after)
+        best, space = over_its_floor(best, after), redrawn(after)
         accepted.append(best)
 
 

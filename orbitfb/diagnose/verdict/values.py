@@ -123,10 +123,11 @@ class Measured:
         return self._curved(fields)
 
     def _of_line(self, kind: EffectKind, part: Candidate) -> Spread:
-        """Of a wave at one place: its amplitudes, and its frequency by the phase at the ends."""
+        """Of a wave at its first place: amplitudes, and the frequency by the phase at the ends."""
         space = self.scorer.space
         law = next(one for one in space.courses.laws(kind) if isinstance(one, DeviceLaw))
-        pattern = law.patterns[0][:, list(part.places)]
+        place = list(part.places[:1])
+        pattern = law.patterns[0][:, place]
         now = law.course(part.values, space.signals)[0]
         fields: dict[str, Matrix] = {}
         for parameter in kind.parameters:
@@ -138,7 +139,7 @@ class Measured:
                 step = _STEP / max(abs(value) * float(space.signals.record.time[-1]), 1.0)
             moved = {**part.values, parameter.name: value * (1.0 + step)}
             slope = (law.course(moved, space.signals)[0] - now) / step
-            own = slope if slope.shape[1] == 1 else slope[:, list(part.places)]
+            own = slope if slope.shape[1] == 1 else slope[:, place]
             fields[parameter.name] = space.transform.spectrum(own) @ pattern.T
         return self._curved(fields)
 

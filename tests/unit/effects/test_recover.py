@@ -18,6 +18,7 @@ QUICK = ("bpm-offset", "noise-correlated")
 SLOW = (
     "bpm-current",
     "bpm-gain",
+    "bpm-hum",
     "bpm-lowpass",
     "bpm-nonlinearity",
     "bpm-roll",

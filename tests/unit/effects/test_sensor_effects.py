@@ -22,6 +22,7 @@ SENSORS = {
     "bpm-polarity": {},
     "bpm-offset": {"offset": 20e-6},
     "bpm-drift": {"rate": 1e-6},
+    "bpm-hum": {"cosine": 3e-6, "sine": -2e-6, "frequency": 1.3},
     "bpm-nonlinearity": {"quadratic": 800.0, "cubic": -2e6},
     "bpm-lowpass": {"tau": 0.2},
     "bpm-latency": {"ticks": 3.0},
