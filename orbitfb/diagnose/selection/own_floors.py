@@ -44,8 +44,9 @@ def settled(
 
 
 def over_its_floor(one: Candidate, after: Workspace) -> Candidate:
-    """The same with its evidence over the floor that it leaves: what a law that is a little wrong
-    leaves to others is a share of that.
+    """The same with its evidence over the floor that it leaves.
+
+    What a law that is a little wrong leaves to others is a share of that.
 
     Args:
         one: A cause.
