@@ -135,8 +135,20 @@ def scan_lines(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> list[Candida
     return strongest([one for one in lines if one is not None])[:1]
 
 
-def _told(kind: EffectKind, law: DeviceLaw, scorer: Scorer, way: Way) -> Candidate | None:
-    """The line that is found in one way; it is found anew over a floor that was told with it."""
+def _told(
+    kind: EffectKind, law: DeviceLaw, scorer: Scorer, way: Way, won: float | None = None
+) -> Candidate | None:
+    """The line that is found in one way; it is found anew over a floor that was told with it.
+
+    Args:
+        kind: The effect.
+        law: Of it.
+        scorer: Of what is left to explain.
+        way: The way.
+        won: Evidence that it keeps over other floors [nats]: a wave is no law that is a little
+            wrong, and leaves others no share of what it weighs over the floor without it. None:
+            this is the first.
+    """
     line = way(scorer, law.patterns[0])
     if line is None:
         return None
@@ -144,13 +156,15 @@ def _told(kind: EffectKind, law: DeviceLaw, scorer: Scorer, way: Way) -> Candida
     values = {p.name: v for p, v in zip(kind.parameters, amplitudes, strict=False)}
     names = tuple(law.names[place] for place in line.places)
     evidence = line.evidence + len(names) * np.log(len(law.names)) - choices(law, line.places)
-    one = Candidate(kind, line.places, names, values, evidence, field=line.field)
+    cost = scorer.likelihood(line.field) - evidence
+    kept = evidence if won is None else won
+    one = Candidate(kind, line.places, names, values, kept, field=line.field, cost=cost)
 
     def again(after: Workspace) -> Candidate:
-        fresh = _told(kind, law, Scorer.of(over(scorer.space, after)), way)
+        fresh = _told(kind, law, Scorer.of(over(scorer.space, after)), way, kept)
         return replace(one, evidence=0.0) if fresh is None else fresh
 
-    return replace(one, cost=scorer.likelihood(line.field) - evidence, again=again)
+    return replace(one, again=again)
 
 
 def _highest(scorer: Scorer, worth: Worth) -> tuple[Matrix, float, Turned]:

@@ -43,21 +43,6 @@ def settled(
     return best, after
 
 
-def over_its_floor(one: Candidate, after: Workspace) -> Candidate:
-    """The same with its evidence over the floor that it leaves.
-
-    What a law that is a little wrong leaves to others is a share of that.
-
-    Args:
-        one: A cause.
-        after: With it accepted.
-    """
-    if one.field is None:
-        return one
-    whole = 0.5 * _weight(one.field, after)
-    return one if whole <= one.evidence else replace(one, evidence=whole)
-
-
 def _told(one: Candidate, after: Workspace) -> Candidate:
     """The same with the sizes that it has over the floor that it leaves."""
     if one.again is None:
@@ -73,7 +58,7 @@ def _weight(field: Matrix, space: Workspace) -> float:
 
 def refitted(
     candidates: Sequence[Candidate], space: Workspace, enough: float = SURE
-) -> tuple[list[Candidate], Workspace]:
+) -> tuple[list[Candidate], Workspace, float]:
     """Compare those that lead under floors that are estimated with each of them.
 
     A floor that was estimated without a cause stands in for what the cause does as far as it can,
@@ -94,14 +79,15 @@ def refitted(
         enough: Evidence from which one is accepted [nats]; half of it may be in the floor.
 
     Returns:
-        The candidates, the best first, and the workspace over the best floor without any.
+        The candidates, the best first; the workspace over the best floor without any; and by how
+        much that is likelier than the floor of the saturated model's rest [nats].
     """
     if not candidates or candidates[0].evidence < 0.5 * enough or candidates[0].noisy:
-        return list(candidates), space  # what is said of the noise alone is not weighed so
+        return list(candidates), space, 0.0  # what is said of the noise alone is not weighed so
     candidates = [device_by_device(one, space) for one in candidates]
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
-    base, bare = space.with_floor().log_posterior(), space
+    base, bare, lost = space.with_floor().log_posterior(), space, 0.0
     rivals = _Rivals(list(candidates), [one.evidence for one in candidates], enough)
     while (number := rivals.next()) is not None:
         own, after = settled(rivals.candidates[number], space, times=1, spread=False)
@@ -123,9 +109,9 @@ def refitted(
             more = lower.log_posterior() - base
             rivals.least(_under(rivals.candidates, lower, more))
             if more > 0.0:
-                base, bare = base + more, lower
+                base, bare, lost = base + more, lower, lost + more
                 rivals.lose(more)
-    return rivals.ranked(), bare
+    return rivals.ranked(), bare, lost
 
 
 @dataclass(slots=True)

@@ -12,7 +12,7 @@ from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import drawn_apart, over, redrawn
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.healthy_motion import with_motion
-from orbitfb.diagnose.selection.own_floors import over_its_floor, refitted, settled
+from orbitfb.diagnose.selection.own_floors import refitted, settled
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.priors import (
     ALONE,
@@ -98,7 +98,7 @@ def _told_again(causes: Sequence[Candidate], space: Workspace) -> tuple[list[Can
     told = []
     for one in causes:
         best, space = settled(one, space)
-        told.append(over_its_floor(best, space))
+        told.append(best)
     return told, space
 
 
@@ -149,7 +149,7 @@ def tournament(
         if candidates and candidates[0].evidence > 0.5 * enough:
             space = space.saturable()  # every floor from here on begins with it
         drawn = bool(space.signals.record.filled.any())
-        candidates, bare = refitted(candidates, space, enough)
+        candidates, bare, lost = refitted(candidates, space, enough)
         candidates = _last_resort(candidates, bool(accepted), drawn)
         deaf = _coloured(accepted)
         free = [one for one in scan_free(Scorer.of(bare)) if one.name not in deaf][:FINALISTS]
@@ -181,7 +181,11 @@ def tournament(
             rounds.pop()
             continue
         best, after = settled(best, space.trusting())
-        best, space = over_its_floor(best, after), redrawn(after)
+        space = redrawn(after)
+        if (
+            lost and best.again is None
+        ):  # what a law that is a little wrong leaves is a share of all
+            best = replace(best, evidence=best.evidence + lost)
         accepted.append(best)
 
 

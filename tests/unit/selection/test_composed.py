@@ -22,7 +22,9 @@ def found(monkeypatch: pytest.MonkeyPatch, *told: Candidate) -> tuple[list[Candi
     """A tournament in which each of them leads a round, and then none."""
     ahead = iter([one] for one in told)
     monkeypatch.setattr(rounds, "candidates_of", lambda *given: next(ahead, []))
-    monkeypatch.setattr(rounds, "refitted", lambda candidates, space, *given: (candidates, space))
+    monkeypatch.setattr(
+        rounds, "refitted", lambda candidates, space, *given: (candidates, space, 0.0)
+    )
     monkeypatch.setattr(rounds, "with_motion", lambda *given: None)
     monkeypatch.setattr(Candidate, "accepted", lambda one, space, spread=True: space)
     return rounds.tournament(Workspace.of(make_record(41), [effect("bpm-gain")]), [])

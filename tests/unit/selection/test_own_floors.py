@@ -88,7 +88,9 @@ def test_of_a_bpm_whose_noise_remembers_no_law_of_its_readings_is_told(
     late = Candidate(effect("bpm-latency"), (3,), ("B3 (x)",), {"ticks": 1.0}, 100.0)
     found = iter(([noise, late], [late], []))
     monkeypatch.setattr(rounds, "candidates_of", lambda *given: next(found))
-    monkeypatch.setattr(rounds, "refitted", lambda candidates, space, *given: (candidates, space))
+    monkeypatch.setattr(
+        rounds, "refitted", lambda candidates, space, *given: (candidates, space, 0.0)
+    )
     accepted, _ = rounds.tournament(Workspace.of(record, [effect("bpm-gain")]), [])
     assert accepted == ([noise] if coloured else [noise, late])
 
@@ -107,7 +109,7 @@ def test_a_rival_shows_under_the_floor_of_what_leads(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(own_floors, "LEADING", 1)
     first = replace(slew, evidence=true.evidence + 1.0)
     least = replace(true, evidence=0.2 * true.evidence)
-    (best, second), _ = refitted([first, least], space)
+    (best, second), *_ = refitted([first, least], space)
     assert (best.kind.id, second.kind.id) == ("corrector-stuck", "corrector-slew")
     assert best.evidence > 1.1 * true.evidence
 
@@ -142,7 +144,7 @@ def test_a_form_of_an_effect_does_not_stand_for_another_one() -> None:
     single = next(one for one in found if one.sources and len(one.places) == 1)
     some = next(one for one in found if one.columns)
     assert some.evidence > 1.5 * single.evidence
-    (best, *_), _ = refitted([replace(single, evidence=2.0 * some.evidence), some], space)
+    (best, *_), *_ = refitted([replace(single, evidence=2.0 * some.evidence), some], space)
     assert best.places == (3, 9)
     assert best.evidence > 0.9 * some.evidence
 
@@ -158,7 +160,7 @@ def test_a_cause_is_weighed_against_the_best_floor_without_one() -> None:
     kinds = kinds_for(record)
     space = Workspace.of(record, kinds)
     found = candidates_of(space, kinds)
-    (best, *_), bare = refitted(found, space)
+    (best, *_), bare, _ = refitted(found, space)
     assert best.kind.id == "loop-delay"
     assert best.evidence < 0.1 * found[0].evidence
     for one in found[:8]:
