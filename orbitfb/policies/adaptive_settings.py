@@ -69,8 +69,8 @@ class AdaptiveSettings(Settings):
     The caution does not help, for that response is known well; the price of a held current does.
     It is by hand, of 0, 0.03, 0.06 and 0.1 µm/A², so that setpoints stay far from their limit of
     17.5 A: with `benchmarks.promotions --minutes 30 --drift strong --drift-ticks 18000 --rule now
-    --policy adaptive` the largest setpoint of seeds 413, 423 and 426 is 18, 54 and 28 A without
-    price and regularisation, and 6.9, 10 and 9.3 A with them. The regularisation is the price of
+    --policy adaptive` the largest setpoint of seeds 413, 423 and 426 is 21, 116 and 24 A without
+    price and regularisation, and 6.8, 10 and 8.2 A with them. The regularisation is the price of
     what holds nothing yet: that of half an ampere.
     """
 

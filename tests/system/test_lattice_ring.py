@@ -57,7 +57,7 @@ def test_a_loop_closes_on_a_ring_that_was_a_lattice(tmp_path: Path):
     config.write_text('[ring]\nplaces = "places.csv"\nparameters = "ring.json"\n')
     done = orbitfb(
         "run", "--ioc", "sim", "--config", config, "--data", tmp_path / "data", "--port",
-        free_port(), "--metrics-port", 0, "--duration", 6, "--summary", tmp_path / "summary.json",
+        free_port(), "--metrics-port", 0, "--duration", 12, "--summary", tmp_path / "summary.json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / "summary.json").read_text())
