@@ -182,9 +182,9 @@ def tournament(
             continue
         best, after = settled(best, space.trusting())
         space = redrawn(after)
-        if (
-            lost and best.again is None
-        ):  # what a law that is a little wrong leaves is a share of all
+        if lost and best.again is None:
+            # A law that is a little wrong leaves a share of all that it explains, as those do that
+            # are told again over the floor that they leave.
             best = replace(best, evidence=best.evidence + lost)
         accepted.append(best)
 

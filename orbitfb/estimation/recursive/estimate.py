@@ -107,10 +107,8 @@ class RecursiveResponse:
         self._weights, self._group_of = np.array(sizes) / n, np.repeat(np.arange(count), sizes)
         steps = np.array([*self._steps, *(group.step for group in groups)])
         self._filter = OrbitFilter(steps, self._noise)
-        self._creeps, self._held = (
-            settings.creep > 0.0,
-            HeldCurrents(self._size, settings.creep_held),
-        )
+        self._creeps = settings.creep > 0.0
+        self._held = HeldCurrents(self._size, settings.creep_held)
         self._since_drift, self._doubt, self._told = 0, 0.0, 0.0
         self.reset()
 
