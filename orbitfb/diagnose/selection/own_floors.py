@@ -65,8 +65,8 @@ def refitted(
     and so do the healthy errors: what a law is worth beside it depends on that. Under floors of
     their own a law and a random course, a reversed sign and a walk, are weighed alike.
 
-    A floor of its own is the best that a candidate has. Under that of another one it has no more,
-    so every floor that is estimated says of all of them how much they have at least: rivals of what
+    A floor of its own is nearly the best that a candidate has. Another one hardly gives it more, so
+    every floor that is estimated says of all of them how much they have at least: rivals of what
     leads, which no floor of all tells from it, show under its floor and get one of their own.
 
     It also says how likely the readings are with no cause at all: a saturated model may take up a

@@ -183,8 +183,7 @@ def tournament(
         best, after = settled(best, space.trusting())
         space = redrawn(after)
         if lost and best.again is None:
-            # A law that is a little wrong leaves a share of all that it explains, as those do that
-            # are told again over the floor that they leave.
+            # what it may leave to others is a share of all that it explains
             best = replace(best, evidence=best.evidence + lost)
         accepted.append(best)
 

@@ -1,18 +1,21 @@
 """A magnet that swings at one frequency."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from orbitfb.effects.kicks import Moved, source_names, source_patterns, together
-from orbitfb.effects.kinds import Parameter, Values
+from orbitfb.effects.kinds import Values
 from orbitfb.effects.orbit_kinds import Courses, SourceKind
+from orbitfb.effects.waves import wave, wave_grid, wave_parameters
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
+
+_TYPICAL = 3e-8
+"""Amplitude [rad]."""
 
 
 class PeriodicDisturbance(SourceKind):
@@ -21,19 +24,7 @@ class PeriodicDisturbance(SourceKind):
     id = "periodic-disturbance"
     stage = "disturbance"
     periodic = True
-    parameters = (
-        Parameter("cosine", "rad", -1e-3, 1e-3, 0.0, 3e-8, "Amplitude of the cosine."),
-        Parameter("sine", "rad", -1e-3, 1e-3, 0.0, 3e-8, "Amplitude of the sine."),
-        Parameter(
-            "frequency",
-            "Hz",
-            0.0,
-            1e4,
-            1.0,
-            1.0,
-            "Frequency, or its alias below half the rate of the loop.",
-        ),
-    )
+    parameters = wave_parameters("rad", most=1e-3, typical=_TYPICAL)
     title = "periodic kick at one place"
     sentence = (
         "Something at this place shakes the beam at one frequency: a pump, the mains or one of its "
@@ -48,13 +39,8 @@ class PeriodicDisturbance(SourceKind):
     collective = False
 
     def grid(self, record: Record) -> Sequence[Values]:
-        """One of ten frequencies; `periodic` tells to scan them all by a Fourier transform."""
-        half = 0.5 / record.layout.period
-        return tuple(
-            {"cosine": cosine, "sine": 3e-8 - cosine, "frequency": half * (line + 0.5) / 10}
-            for line in range(10)
-            for cosine in (0.0, 3e-8)
-        )
+        """Some frequencies; all are scanned."""
+        return wave_grid(record, _TYPICAL)
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
@@ -62,8 +48,7 @@ class PeriodicDisturbance(SourceKind):
         """Swing at all places."""
 
         def course(tick: int) -> float:
-            phase = 2 * math.pi * values["frequency"] * layout.period * tick
-            return values["cosine"] * math.cos(phase) + values["sine"] * math.sin(phase)
+            return float(wave(values, np.array(layout.period * tick)))
 
         return Moved(together(source_patterns(layout), places), course)
 
@@ -77,6 +62,4 @@ class PeriodicDisturbance(SourceKind):
 
     def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
         """A wave, counted from the first row."""
-        phase = 2 * np.pi * values["frequency"] * record.time
-        wave = values["cosine"] * np.cos(phase) + values["sine"] * np.sin(phase)
-        return wave[:, None]
+        return wave(values, record.time)[:, None]
