@@ -56,7 +56,6 @@ class Coefficients:
         self._precision, self._drift = precision, drift.astype(precision)
         self._diagonal = np.array([group.drift for group in groups], dtype=precision)
         self.rows = np.concatenate([group.rows for group in groups]).astype(precision)
-        # of every P only the triangle that BLAS calls the lower one is kept up to date
         self._covariances = np.array([group.covariance for group in groups], dtype=precision)
         self._diagonals = self._covariances.reshape(len(groups), -1)[:, :: len(drift) + 1]
         self._last = self._diagonals[:, -1].copy()
@@ -68,7 +67,7 @@ class Coefficients:
         # half a second of a loop that never learns
         from scipy.linalg import get_blas_funcs, get_lapack_funcs
 
-        self._multiply, self._add_square = get_blas_funcs(("symm", "syrk"), dtype=precision)
+        (self._add_product,) = get_blas_funcs(("gemm",), dtype=precision)
         (self._invert,) = get_lapack_funcs(("trtri",), dtype=np.float64)
 
     def learn(self, block: Block) -> Vector:
@@ -88,11 +87,11 @@ class Coefficients:
         joint, inner = self._covariances_with(changes)
         carried = _times(inner, end)
         self._cross = _times(joint.transpose(0, 2, 1), end.astype(self._precision))
-        self.extra = np.sum(end * carried, axis=1)
+        self.extra = np.einsum("gj,gj->g", end, carried)
         if not block.readings:
             return np.zeros(len(self.rows))
         count, of = len(self._members), self._group_of
-        variances, known = np.split(block.variances, [len(of)], axis=1)
+        variances, known = block.variances[:, : len(of)], block.variances[:, len(of) :]
         covariance = seen @ inner @ seen.transpose(0, 2, 1)
         diagonal = covariance.reshape(count, -1)[:, :: block.readings + 1]
         diagonal += known.T + self._rounding * np.sum(diagonal, axis=1, keepdims=True)
@@ -115,11 +114,11 @@ class Coefficients:
         precise = worth.astype(self._precision)
         for group, members in enumerate(self._members):
             self.rows[members] += precise[:, members].T @ told[group]
-            its = self._covariances[group].T
-            self._add_square(-1.0, told[group].T, 1.0, its, lower=1, overwrite_c=1)
+            its, columns = self._covariances[group].T, told[group].T
+            self._add_product(-1.0, columns, columns, 1.0, its, trans_b=1, overwrite_c=1)
         self._diagonals *= 1.0 + self._rounding
         self._cross -= _times(told.transpose(0, 2, 1), along.astype(self._precision))
-        self.extra = np.maximum(self.extra - np.sum(along**2, axis=1), 0.0)
+        self.extra = np.maximum(self.extra - np.einsum("gj,gj->g", along, along), 0.0)
         self.doubt = total[:, -1] / known[-1] - 1.0
         return np.sum(along.T[:, of] * worth, axis=0)
 
@@ -135,8 +134,7 @@ class Coefficients:
         count, (j, k) = len(self._members), changes.shape
         joint = self._joint[:, : 1 + j]
         joint[:, 0] = self._cross
-        for its, covariance in zip(joint, self._covariances, strict=True):
-            its[1:] = self._multiply(1.0, covariance.T, changes.T, lower=1).T
+        np.matmul(changes, self._covariances, out=joint[:, 1:])
         inner = np.empty((count, 1 + j, 1 + j))
         inner[:, :, 1:] = (np.reshape(joint, (-1, k)) @ changes.T).reshape(count, 1 + j, j)
         inner[:, 0, 0], inner[:, 1:, 0] = self.extra, inner[:, 0, 1:]
@@ -171,12 +169,12 @@ class Coefficients:
 
     def covariances(self, size: int) -> tuple[Vector, ...]:
         """Give the covariance of the first coefficients in every group, each (size, size)."""
-        return tuple(_whole(part[:size, :size]) for part in self._covariances)
+        return tuple(_symmetric(part[:size, :size]) for part in self._covariances)
 
     def covariance(self, size: int, shares: Vector) -> Vector:
         """Give the sum of these with shares of the groups, shape (groups,), as (size, size)."""
         precise = shares.astype(self._precision)
-        return _whole(np.tensordot(precise, self._covariances, axes=1)[:size, :size])
+        return _symmetric(np.tensordot(precise, self._covariances, axes=1)[:size, :size])
 
 
 def _times(matrices: Precise, vectors: Precise) -> Precise:
@@ -184,9 +182,7 @@ def _times(matrices: Precise, vectors: Precise) -> Precise:
     return np.matmul(matrices, vectors[:, :, None])[:, :, 0]
 
 
-def _whole(triangle: Precise) -> Vector:
-    """Make a symmetric matrix of the triangle that is kept, in double precision."""
-    upper = np.triu(triangle).astype(np.float64)
-    whole = upper + upper.T
-    whole.flat[:: len(whole) + 1] *= 0.5
-    return whole
+def _symmetric(matrix: Precise) -> Vector:
+    """Give what rounding has left of a symmetric matrix, in double precision."""
+    whole = matrix.astype(np.float64)
+    return 0.5 * (whole + whole.T)

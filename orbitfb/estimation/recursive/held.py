@@ -11,6 +11,8 @@ along another, so
 c₀ a creep of which only the prior is known.
 """
 
+import math
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -36,7 +38,7 @@ class HeldCurrents:
     def add(self, change: Vector) -> None:
         """Add a change, shape (m,)."""
         self._added = self._added + change
-        self.load = float(np.sqrt(1.0 + self._along(self._added)))
+        self.load = math.sqrt(1.0 + self._along(self._added))
 
     def turned(self) -> float:
         """Give ρ since it was last asked, or since the beginning [1]."""
