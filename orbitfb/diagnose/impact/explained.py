@@ -101,6 +101,11 @@ class Explained:
         """Whether any cause adds something that can be foretold."""
         return any(one is not None for one in self.fields)
 
+    @property
+    def foretold(self) -> bool:
+        """Whether every cause does."""
+        return all(one is not None for one in self.fields)
+
     def over(self, noise: StepNoise) -> "Explained":
         """The same over another floor."""
         return replace(self, noise=noise)

@@ -160,9 +160,7 @@ def _unknown(its: Diagnosis) -> str:
     if rest.nearest:
         pieces.append(paragraph(f"Nearest in the library: <code>{text(rest.nearest)}</code>."))
     if rest.explained:
-        pieces.append(
-            paragraph(f"The causes explain {percent(rest.explained)} of the evidence for a gap.")
-        )
+        pieces.append(paragraph(f"The causes explain {percent(rest.explained)} of the gap."))
     return "".join(pieces)
 
 

@@ -25,6 +25,9 @@ _FAR = 8
 _JUMP = 5.0
 """Standard deviations from which a change is a jump [1]: one reading in two million is so far off
 by chance."""
+_ANYWHERE = 1e18
+"""Variance of a reading of which nothing is known, over that of the noise [1]: 200 m at 0.2 µm, so
+that no reading is a jump because a stretch begins there."""
 _LEAST = 1e-4
 """Least part of walk and of noise in what changes from row to row [1]."""
 
@@ -100,9 +103,10 @@ def _moves(left: Matrix, known: Mask, ratio: Vector, starts: Mask) -> Matrix:
     """
     moves = np.tile(ratio, (len(left), 1))
     jumps: list[tuple[int, int, int, float]] = []
-    state, width, last = np.zeros(left.shape[1]), 1e6 * (1.0 + ratio), np.zeros(left.shape[1], int)
+    state, last = np.zeros(left.shape[1]), np.zeros(left.shape[1], int)
+    width = np.full(left.shape[1], _ANYWHERE)
     for row, begins in enumerate(starts.tolist()):
-        width = 1e6 * (1.0 + ratio) if begins else width + ratio
+        width = np.full(left.shape[1], _ANYWHERE) if begins else width + ratio
         last[:] = row - 1 if begins else last
         away = left[row] - state
         over = np.where(known[row], away**2 - _JUMP**2 * (width + 1.0), -1.0)
@@ -111,7 +115,7 @@ def _moves(left: Matrix, known: Mask, ratio: Vector, starts: Mask) -> Matrix:
             jumps.append((last[column] + 1, row, column, more))
             width[column] += more
         gain = np.where(known[row], width / (width + 1.0), 0.0)
-        state, width = state + gain * away, (1.0 - gain) * width
+        state, width = state + gain * away, np.where(known[row], gain, width)
         last[known[row]] = row
     sure = np.bincount([row for first, row, _, _ in jumps if first == row], minlength=len(left))
     for first, row, column, more in jumps:
@@ -132,14 +136,13 @@ def _smoothed(left: Matrix, known: Mask, moves: Matrix, starts: Mask) -> Matrix:
         moves: Variance of every step of the walk over that of the noise, shape (N, k).
         starts: First rows of stretches, shape (N,).
     """
-    anywhere = 1e6 * (1.0 + moves[0])
     mean, spread = np.zeros_like(left), np.zeros_like(left)
-    state, width = np.zeros(left.shape[1]), anywhere
+    state, width = np.zeros(left.shape[1]), np.full(left.shape[1], _ANYWHERE)
     for row, begins in enumerate(starts.tolist()):
-        width = anywhere if begins else width + moves[row]
+        width = np.full(left.shape[1], _ANYWHERE) if begins else width + moves[row]
         gain = np.where(known[row], width / (width + 1.0), 0.0)
         state = state + gain * (left[row] - state)
-        width = (1.0 - gain) * width
+        width = np.where(known[row], gain, width)
         mean[row], spread[row] = state, width
     for row in range(len(left) - 2, -1, -1):
         if not starts[row + 1]:

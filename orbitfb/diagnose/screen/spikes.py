@@ -88,14 +88,26 @@ def _spikes(away: Matrix, left: Matrix, record: Record) -> Mask:
     usual = TO_SIGMA * np.median(np.abs(away), axis=0)
     far = np.abs(away) > FAR * np.maximum(usual, np.finfo(np.float64).tiny)
     far &= usual > 0.0
-    ends = np.append(record.starts[1:], True)
-    before, after = np.vstack([left[:1], left[:-1]]), np.vstack([left[1:], left[-1:]])
-    jump = np.where((record.starts | ends)[:, None], 0.0, np.abs(after - before))
-    far &= jump < ALONE * np.abs(away)
+    far &= _jump(left, record) < ALONE * np.abs(away)
     few = far.sum(axis=1) <= max(1.0, SHARED * far.shape[1])
     far &= few[:, None]
     lone: Mask = far & (far.sum(axis=0) <= most_lone(len(far)))
     return lone
+
+
+def _jump(left: Matrix, record: Record) -> Matrix:
+    """Change between the neighbours of every reading; at an end, between the two next to it.
+
+    So what begins or ends a stretch amid a motion is none; without two neighbours nobody knows.
+    """
+    begins, rows = record.starts, np.arange(len(left))
+    ends = np.append(begins[1:], True)
+    length = np.diff(np.append(np.flatnonzero(begins), len(rows)))
+    several = np.repeat(length > 2, length)[:, None]
+    low = rows + np.where(begins, 1, np.where(ends, -2, -1))
+    high = rows + np.where(begins, 2, np.where(ends, -1, 1))
+    change = np.take(left, high, axis=0, mode="clip") - np.take(left, low, axis=0, mode="clip")
+    return np.where(several, np.abs(change), np.inf)
 
 
 def most_lone(rows: int) -> float:

@@ -43,6 +43,7 @@ def cause_of(
     parts: tuple[tuple[Piece, ...], ...],
     measured: Measured,
     scores: ScoreMap | None,
+    explained: float,
 ) -> Cause:
     """Write a cause.
 
@@ -51,6 +52,8 @@ def cause_of(
         parts: Values of its devices, by its parts.
         measured: Tells the values.
         scores: Of the places along the ring.
+        explained: Share of the gap that the causes explain [1]: if one effect that is in no
+            library makes the rest, it may make this as well.
     """
     space = measured.scorer.space
     record = space.signals.record
@@ -71,7 +74,7 @@ def cause_of(
         places=devices,
         planes=planes,
         parameters=measured.values(one.kind, one.parts[0], parts[0]),
-        probability=one.probability,
+        probability=explained * one.probability,
         onset_s=_onset(onset, record),
         alternatives=tuple(dict.fromkeys((*one.rivals, *one.kind.also_called))),
         title=one.kind.title,
@@ -186,12 +189,14 @@ def unknown_of(
             f"The rest follows the motion of {device} {places[0]}, by a law that is not in the "
             "library."
         )
+    elif verdict.state == "named_plus_remainder":
+        text = "One effect that is not in the library may make all of it, rest and causes."
     return Unknown(
         places=places,
         text=" ".join(filter(None, (text, proved))),
         nearest=causes[0].kind.id if causes else "",
         nearest_nats=causes[0].evidence if causes else None,
-        explained=told / (told + verdict.nats) if told else 0.0,
+        explained=verdict.explained if told else 0.0,
     )
 
 

@@ -37,8 +37,8 @@ from orbitfb.diagnose.verdict.causes import (
     waterfall_of,
 )
 from orbitfb.diagnose.verdict.proved import SCREENED, beside, proved
-from orbitfb.diagnose.verdict.shrink import Records, shrunk_by
-from orbitfb.diagnose.verdict.state import beside_proved, judged
+from orbitfb.diagnose.verdict.shrink import Records, shrunk_by, shrunk_here
+from orbitfb.diagnose.verdict.state import beside_left, beside_proved, judged
 from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import all_effects
@@ -101,9 +101,11 @@ def diagnose(
     last = Scorer.of(its.space)
     first = Scorer.of(rounds[0].space) if len(rounds) > 1 else last
     scores = score_map(causes, rounds[0], first)
-    told = (*certain.causes, *_told(causes, its, last, scores))
+    own = shrunk_here(its, step, parts)
+    verdict = beside_left(verdict, own, its.foretold)
+    told = (*certain.causes, *_told(causes, its, last, scores, verdict.explained))
     shrunk, warnings = shrunk_by(
-        Records(certain.record, reference, holdout), kinds, its, causes, step, parts,
+        Records(certain.record, reference, holdout), kinds, its, causes, step, parts, own,
         None if healthy is None else healthy.noise,
     )  # fmt: skip
     loop = closed_loop(its, causes, windows) if causes else None
@@ -159,12 +161,16 @@ def _check(record: Record) -> None:
 
 
 def _told(
-    causes: Sequence[Named], its: Explained, scorer: Scorer, scores: ScoreMap | None
+    causes: Sequence[Named],
+    its: Explained,
+    scorer: Scorer,
+    scores: ScoreMap | None,
+    explained: float,
 ) -> Iterator[Cause]:
     """The causes with their values."""
     measured = Measured(scorer)
     for one, parts in zip(causes, its.pieces, strict=True):
-        yield cause_of(one, parts, measured, scores)
+        yield cause_of(one, parts, measured, scores, explained)
 
 
 def step_count(its: Explained) -> int:

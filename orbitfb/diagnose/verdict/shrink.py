@@ -42,6 +42,7 @@ def shrunk_by(
     causes: Sequence[Named],
     step: OneStep,
     parts: Parts,
+    own: Shrink | None,
     healthy: StepNoise | None,
 ) -> tuple[Shrink | None, tuple[Finding, ...]]:
     """Tell how far the gap shrinks with the causes, and what could not be told of it.
@@ -53,12 +54,10 @@ def shrunk_by(
         causes: What is named.
         step: Errors of its predictions one row ahead.
         parts: Of its gap.
+        own: What `shrunk_here` gave.
         healthy: Floor of the reference record; None: there is none.
     """
-    if not its.counts:
-        return None, ()
-    own = shrink(step, _ITSELF, float(parts.by_cause.sum()), parts.rest)
-    if records.later is None:
+    if own is None or records.later is None:
         return own, ()
     later = beside(records.later, records.record)
     missing = lacking(causes, records.record, later)
@@ -80,6 +79,19 @@ def shrunk_by(
     )
     share = parts.rest / max(len(step.nominal), 1) * len(found.nominal)
     return shrink(found, _LATER, float(np.sum(field * pulled)), share), notes
+
+
+def shrunk_here(its: Explained, step: OneStep, parts: Parts) -> Shrink | None:
+    """Tell how far the gap shrinks on the record itself; None: nothing that counts is foretold.
+
+    Args:
+        its: The record with the causes.
+        step: Errors of its predictions one row ahead.
+        parts: Of its gap.
+    """
+    if not its.counts:
+        return None
+    return shrink(step, _ITSELF, float(parts.by_cause.sum()), parts.rest)
 
 
 def _quieter(first: StepNoise, second: StepNoise | None) -> StepNoise:

@@ -1,12 +1,13 @@
 """Which of the five states a record is in."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse
 from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.result.diagnosis import State
+from orbitfb.diagnose.result.parts import Shrink
 from orbitfb.diagnose.selection.rounds import Round
 from orbitfb.diagnose.verdict.proved import Proved
 from orbitfb.estimation.priors import CERTAIN, REMAINDER, SURE
@@ -21,12 +22,14 @@ class Judged:
         left: Devices whose free course still explains something, the most telling first.
         nats: What the best of them, or the effect that is left, explains [nats].
         rest: What of the library is sure beside the causes and was not accepted; None: nothing.
+        explained: Share of the gap that the causes explain, where more than they is at work [1].
     """
 
     state: State
     left: tuple[FreeCourse, ...]
     nats: float
     rest: Candidate | None = None
+    explained: float = 1.0
 
 
 def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
@@ -44,16 +47,35 @@ def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
     told = sum(one.evidence for one in causes)
     freely = rounds[0].free[0].evidence if rounds[0].free else 0.0
     if freely > first.evidence and freely > SURE:
-        return Judged("unknown", rounds[0].free[:1], freely)
+        return Judged("unknown", rounds[0].free[:1], freely, explained=told / (told + freely))
     rest = rounds[-1].left(told) if len(rounds) > 1 else None
     if rest is not None and rest.evidence > max(nats, REMAINDER * told):
         state: State = "unknown" if rest.evidence > told else "named_plus_remainder"
-        return Judged(state, left, rest.evidence, rest)
+        return Judged(state, left, rest.evidence, rest, told / (told + rest.evidence))
     if nats > REMAINDER * told:
-        return Judged("named_plus_remainder", left, nats)
+        return Judged("named_plus_remainder", left, nats, explained=told / (told + nats))
     alone = first.chances[first.kind.id]
     state = "named" if alone > CERTAIN or not first.rivals else "ambiguous"
     return Judged(state, (), 0.0)
+
+
+def beside_left(verdict: Judged, shrunk: Shrink | None, foretold: bool) -> Judged:
+    """Judge anew with what the causes leave of the errors of predictions.
+
+    A law of another effect may take a part of what no effect of the library does, and no law, known
+    or free, find the rest: all of them together say less of it than the noise that is told for it.
+
+    Args:
+        verdict: By what was found.
+        shrunk: By the causes, on the record itself; None: nothing of them can be foretold.
+        foretold: Whether all causes add something that can be; noise is no error that they leave.
+    """
+    if verdict.state in ("no_gap", "unknown") or shrunk is None or not foretold:
+        return verdict
+    gone, most = shrunk.nats, shrunk.high
+    if gone is None or most is None or most >= 1.0 - REMAINDER:
+        return verdict
+    return replace(verdict, state="named_plus_remainder", explained=min(verdict.explained, gone))
 
 
 def beside_proved(state: State, proved: Proved) -> State:

@@ -49,6 +49,13 @@ def test_a_step_of_a_bpm_is_no_spike(record):
     assert not without_spikes(record)[1]
 
 
+def test_a_motion_that_ends_or_begins_with_the_record_is_no_spike(record):
+    fading = 50e-6 * 0.5 ** np.arange(len(record))
+    record.readings[:, 2] += fading
+    record.readings[:, 5] += fading[::-1]
+    assert not without_spikes(record)[1]
+
+
 def test_what_many_bpms_see_is_motion_of_the_beam(record):
     record.readings[100] += 50e-6
     assert not without_spikes(record)[1]

@@ -41,6 +41,13 @@ def creeping(currents: Matrix) -> Matrix:
     return kicked
 
 
+def slow(currents: Matrix) -> Matrix:
+    """Three tenths of every change reach the field of all correctors late: in no library."""
+    fading = np.exp(-np.arange(len(currents))[::-1] / 80.0)[:, None]
+    changes = np.diff(currents, axis=0, prepend=currents[:1])
+    return currents[-1:] - 0.3 * (fading * changes).sum(axis=0)
+
+
 def stuck_late(currents: Matrix) -> Matrix:
     """Corrector 9 stays where it is from row 400 on."""
     kicked = currents[-1:].copy()
@@ -103,6 +110,16 @@ def test_what_no_library_has_is_unknown_at_its_device() -> None:
 
 
 @pytest.mark.nightly
+def test_what_takes_a_part_of_an_effect_that_no_library_has_is_told_with_a_remainder() -> None:
+    found = answer(make_record(24, currents=slow, gain=0.0))
+    assert found.state == "named_plus_remainder"
+    assert found.causes
+    assert found.shrink is not None
+    assert (found.shrink.um_high or 1.0) < 0.83
+    assert found.unknown is not None
+    assert "may be one effect that is not in the library" in found.unknown.text
+
+
 def test_a_corrector_that_sticks_late_is_told_with_the_time() -> None:
     found = answer(make_record(27, currents=stuck_late, rows=700))
     first = found.causes[0]
