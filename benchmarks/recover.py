@@ -64,7 +64,7 @@ SIZES: dict[str, Values] = {
     "bpm-nonlinearity": {"quadratic": 3e3, "cubic": -1e8},
     "bpm-offset": {"offset": 2e-6},
     "bpm-roll": {"angle": 0.05},
-    "bpm-walk": {"step": 2e-8},
+    "bpm-walk": {"step": 6e-8},
     "clock-jitter": {"rms": 0.05},
     "corrector-crosstalk": {"share": 0.3},
     "corrector-deadband": {"width": 1e-3},

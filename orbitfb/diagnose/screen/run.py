@@ -5,6 +5,7 @@ is said here is believed. So only exact repetitions, exact sums and overwhelming
 """
 
 from orbitfb.diagnose.screen.channels import check_channels
+from orbitfb.diagnose.screen.deaf import check_deaf
 from orbitfb.diagnose.screen.model import check_model, check_units
 from orbitfb.diagnose.screen.rails import RAIL, check_rails
 from orbitfb.diagnose.screen.readback import check_readback
@@ -25,10 +26,13 @@ def screen(record: Record) -> list[Finding]:
     """
     rails = check_rails(record)
     clipped = {device for finding in rails for device in finding.devices}
+    # A BPM that stands at its rail for long has been told.
+    repeats = [f for f in check_repeats(record) if f.check != RAIL or f.devices[0] not in clipped]
+    still = {device for finding in repeats if finding.effect for device in finding.devices}
     found = [
         *rails,
-        # A BPM that stands at its rail for long has been told.
-        *(f for f in check_repeats(record) if f.check != RAIL or f.devices[0] not in clipped),
+        *repeats,
+        *(f for f in check_deaf(record) if f.devices[0] not in still | clipped),
         *check_clock(record),
         *check_writes(record),
         *check_readback(record),

@@ -1,4 +1,4 @@
-"""BPM that repeats its last reading for ever."""
+"""BPM that follows the beam no more: it repeats its last reading, or reads its noise."""
 
 import numpy as np
 
@@ -21,12 +21,13 @@ class BpmStuck(SensorKind):
     parameters = ()
     title = "stuck BPM"
     sentence = (
-        "The BPM repeats one reading forever. Its electronics hang, or its data do not arrive. "
-        "Mask it: the feedback acts on a reading that means nothing."
+        "The BPM repeats one reading forever, or reads one number and its noise. Its electronics "
+        "hang, its data do not arrive, or a cable is off. Mask it: the feedback acts on a reading "
+        "that means nothing."
     )
-    equation = "y_n = y_(n−1) from the onset on"
+    equation = "y_n = y_(n−1), or y₀ + noise, from the onset on"
     confused_with = ("missed-read",)
-    splits = "No experiment is needed. One BPM repeats itself exactly while the others go on."
+    splits = "No experiment is needed. One BPM stands still while the others go on."
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
@@ -36,7 +37,7 @@ class BpmStuck(SensorKind):
 
     def unavailable(self, record: Record) -> str:
         """Leave it to the integrity screen: a likelihood of exact repeats is infinite."""
-        return "is found by the integrity screen, which looks for exact repeats"
+        return "is found by the integrity screen, which looks for BPMs that stand still"
 
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
         """Give the readings back as they are: a stuck BPM tells nothing of the orbit."""

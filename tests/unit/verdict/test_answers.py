@@ -117,7 +117,7 @@ def test_what_takes_a_part_of_an_effect_that_no_library_has_is_told_with_a_remai
     assert found.shrink is not None
     assert (found.shrink.um_high or 1.0) < 0.83
     assert found.unknown is not None
-    assert "may be one effect that is not in the library" in found.unknown.text
+    assert "One effect that is not in the library may make all of it" in found.unknown.text
 
 
 def test_a_corrector_that_sticks_late_is_told_with_the_time() -> None:
