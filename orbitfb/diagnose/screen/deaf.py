@@ -1,8 +1,8 @@
 """BPMs that do not follow the beam: they read one number and their noise while the others move.
 
 A BPM may stand at the node of one pattern in which the beam moves. That it stands at the nodes of
-all of them has a chance, which is told from how little of each it reads, beside the rms of all BPMs:
-with an orbit of normal numbers at a BPM, the chance of less than c of a rms a is erf(c / a√2).
+all of them has a chance: of each pattern, the share of the BPMs of its plane that read as little.
+Where the beam is small in all patterns, as the β function makes it, it is not as small as that.
 """
 
 import math
@@ -13,6 +13,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.screen.steps import CHANCE
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
 from orbitfb.records.finding import Finding
 from orbitfb.records.record import Record
 
@@ -24,29 +25,41 @@ _WHITE = 1.4
 """Variance of readings over half of that of their changes, up to which they are white [1]: 1, and
 three times what that scatters by in so many rows."""
 
+_NOTHING = 1e-3
+"""Energy of the patterns that a BPM reads, over that of the median one, up to which it is deaf [1]:
+a β function of a thousandth of the usual one would read so little."""
+_LOUD = 3.0
+"""Size of a pattern in which the beam moves, rms over the rows, over the noise of a BPM [1]. By
+hand: a pattern of noise alone is no larger than that of some BPMs."""
+
 
 def check_deaf(record: Record) -> list[Finding]:
     """Find BPMs that read their noise alone, to the end of the record."""
-    return list(_deaf(record))
+    return [
+        finding
+        for plane in record.layout.planes
+        for finding in _deaf(record, record.layout.bpms.in_plane(plane))
+    ]
 
 
-def _deaf(record: Record) -> Iterator[Finding]:
-    readings, tried = record.readings, set[int]()
+def _deaf(record: Record, columns: Indices) -> Iterator[Finding]:
+    readings, tried = record.readings[:, columns], set[int]()
     for begin in np.linspace(0, len(record), _WINDOWS, endpoint=False).astype(int).tolist():
         if len(record) - begin < _FEWEST:
             return
         moves = _moves(readings[begin:])
         white = (moves < _WHITE) & (moves > 1.0 / _WHITE)  # what repeats itself is told elsewhere
-        for column in sorted(set(np.flatnonzero(white).tolist()) - tried):
-            if _chance(readings[begin:], column) > math.log(CHANCE / _WINDOWS / len(moves)):
+        left = set(np.flatnonzero(white).tolist()) - tried
+        chances = _chances(readings[begin:]) if left else moves
+        for place in sorted(left):
+            if chances[place] > math.log(CHANCE / _WINDOWS / len(moves)):
                 continue
-            tried.add(column)
-            row = _onset(readings[:, column], begin)
-            label = record.layout.bpms.label(column)
-            since = f"from row {row} to the end" if row else "all the time"
+            tried.add(place)
+            row = _onset(readings[:, place], begin)
+            label = record.layout.bpms.label(int(columns[place]))
             text = (
-                f"{label} reads {readings[row:, column].mean() * 1e6:.3f} µm and its noise {since}, "
-                "while the beam moves"
+                f"{label} reads {1e6 * float(readings[row:, place].mean()):.3f} µm and its noise "
+                f"{f'from row {row} to the end' if row else 'all the time'}, while the beam moves"
             )
             rows = (row, len(record) - 1)
             yield Finding("deaf-bpm", "warning", (label,), rows, text, effect="bpm-stuck")
@@ -58,20 +71,20 @@ def _moves(readings: Matrix) -> Vector:
     return np.var(readings, axis=0) / np.maximum(noise, np.finfo(np.float64).tiny)
 
 
-def _chance(readings: Matrix, column: int) -> float:
-    """Logarithm of the chance that a BPM reads so little of how the others move."""
+def _chances(readings: Matrix) -> Vector:
+    """Logarithms of the chances that BPMs read so little of how they all move, shape (n,).
+
+    Of one that reads more than nothing it is not asked: 0.
+    """
     about = readings - readings.mean(axis=0)
-    others = np.delete(about, column, axis=1)
-    noise = 0.5 * np.var(np.diff(others, axis=0), axis=0)
-    courses, size, _ = np.linalg.svd(others, full_matrices=False)
-    usual = size / math.sqrt(others.shape[1])  # of a pattern, rms over the BPMs, over all rows
-    moved = usual > 3.0 * math.sqrt(float(np.mean(noise)) * len(about) / len(usual))
-    own = np.abs(courses[:, moved].T @ about[:, column])
-    own = np.maximum(own, float(np.std(about[:, column])))
-    return sum(
-        math.log(math.erf(seen / (math.sqrt(2.0) * one)))
-        for seen, one in zip(own.tolist(), usual[moved].tolist(), strict=True)
-    )
+    noise = 0.5 * np.var(np.diff(about, axis=0), axis=0)
+    courses, size, _ = np.linalg.svd(about, full_matrices=False)
+    moved = size**2 > _LOUD**2 * float(np.mean(noise)) * len(about)
+    seen = np.maximum(np.abs(courses[:, moved].T @ about), np.sqrt(noise))
+    less = np.sum(seen[:, None, :] <= seen[:, :, None], axis=2)
+    energy = np.sum(seen**2, axis=0)
+    nothing = energy <= _NOTHING * np.median(energy)
+    return np.where(nothing, np.sum(np.log(less / seen.shape[1]), axis=0), 0.0)
 
 
 def _onset(own: Vector, begin: int) -> int:
