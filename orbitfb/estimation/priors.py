@@ -236,7 +236,11 @@ OWN_REACH = 0.25
 """Logarithm of the ratio within which a device's own value is searched: half a step of a grid."""
 
 OWN_VALUES = 9
-"""Values that are tried within that reach: a sixteenth apart, and a parabola between them."""
+"""Values that are tried within that reach, a sixteenth apart, and then between the neighbours of
+the best one."""
+
+OWN_TURNS = 3
+"""Times that they are: a value is then known to a hundredth of the distance of those in a grid."""
 
 RANKED_VALUES = 2
 """Values of a grid that are scored for all sets of devices, by each of three marks. By hand: the

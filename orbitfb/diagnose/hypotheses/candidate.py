@@ -112,10 +112,12 @@ class Candidate:
             space = replace(space, single=single)
         if undo is None:
             space = self.driving(space)
+        # What devices have of their own was free of each other, and stays so with `again`.
+        apart = self.again is not None and len(self.sources) > 1
         columns = [
             column
-            for one in (self.sources if spread else ())
-            if not one.elements  # these were free of each other, and stay so with `again`
+            for one in (self.sources if spread and not apart else ())
+            if not one.elements
             for column in one.columns(self.kind, space.signals)
         ]
         if columns:

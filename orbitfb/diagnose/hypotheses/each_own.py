@@ -1,17 +1,21 @@
 """Some devices with the same law and values of each one's own."""
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import field_of
 from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, cost_of, scales, within
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import grown_apart
+from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.seen import semidefinite
+from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalTerms, given_size
@@ -19,6 +23,7 @@ from orbitfb.estimation.priors import (
     HOPE,
     MOST_REFINED,
     OWN_REACH,
+    OWN_TURNS,
     OWN_VALUES,
     SCATTERED,
     SIZE_WIDTH,
@@ -144,88 +149,125 @@ def _candidate(
     free: bool,
 ) -> Candidate:
     """Evaluate the set exactly."""
-    signals = scorer.space.signals
     sources = [
         Course(law, (place,), rank.values(int(number[place]), place), np.ones(1))
         for place in chosen
     ]
-    patterns = [block[:, chosen] for block in law.patterns]
-    whole, blocks = np.hstack(patterns), len(patterns)
-    spectrum = np.empty((len(scorer.pulled), whole.shape[1]), dtype=np.float32)
+    its = _Set(kind, free, _cost(len(number), len(rank.alone)) * len(chosen), _lines(kind, rank))
+    return its.told(sources, scorer, MOST_REFINED)
 
-    def turned(place: int) -> None:
-        source = sources[place]
-        for number, course in enumerate(source.of(signals, source.values)):
-            column = number * len(chosen) + place
-            spectrum[:, column] = scorer.space.transform.quick_spectrum(course)[:, 0]
 
-    for place in range(len(sources)):
-        turned(place)
-    for place in range(min(MOST_REFINED, len(sources)) if len(rank.alone) > 1 else 0):
-        others = spectrum.copy()
-        others[:, place :: len(chosen)] = 0.0
-        late = scorer.rows.without(others @ whole.T.astype(np.float32))
-        sources[place] = _nearer(kind, law, scorer, sources[place], late)
-        turned(place)
-    pull, information = scorer.columns(patterns, spectrum)
-    if free:
-        terms = NormalTerms(pull, information, np.full(len(chosen), SIZE_WIDTH**2))
-        best = terms.mean().tolist()
-        sizes = np.array(
-            [within(kind, one.values, size) for one, size in zip(sources, best, strict=True)]
-        )
-        cost = terms.cost(sizes)
-    else:
-        sizes, cost = np.ones(len(chosen)), 0.0
-    field = (spectrum * np.tile(sizes, blocks)) @ whole.T
-    cost += _cost(len(number), len(rank.alone)) * len(chosen)
-    largest = int(np.argmax(np.abs(sizes) * np.sqrt(np.maximum(np.diag(information), 0.0))))
-    scaled = dict(sources[largest].values)
-    for parameter in kind.sizes:
-        scaled[parameter.name] *= float(sizes[largest])
-    unit = sources[largest].values[kind.linear] if kind.linear else 1.0
-    return Candidate(
-        kind,
-        tuple(chosen),
-        tuple(law.names[place] for place in chosen),
-        scaled,
-        scorer.likelihood(field) - cost,
-        cost=cost,
-        sizes=tuple(float(size * unit) for size in sizes) if free else (),
-        field=field,
-        sources=tuple(
+def _lines(kind: EffectKind, rank: Ranked) -> tuple[str, Sequence[Vector | float]] | None:
+    """The value that differs from device to device, and some of it: numbers, or shape (D,) each.
+
+    Factors of what a device has, where the kind knows none of its own; None: there is one value.
+    """
+    name = next((p.name for p in kind.parameters if p.log), None)
+    if name is None or len(rank.alone) == 1:
+        return None
+    return name, [own[name] for own in rank.own if name in own]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Set:
+    """Some devices with values of each one's own.
+
+    Args:
+        kind: The effect.
+        free: Whether each may have any size.
+        cost: Of the devices and their values [nats].
+        lines: As `_lines` tells them.
+    """
+
+    kind: EffectKind
+    free: bool
+    cost: float
+    lines: tuple[str, Sequence[Vector | float]] | None
+
+    def told(self, sources: Sequence[Course], scorer: Scorer, refined: int) -> Candidate:
+        """Evaluate them, and seek the values of the first of them, each beside the others.
+
+        Args:
+            sources: With the values at which that begins.
+            scorer: Of what is left to explain.
+            refined: How many are sought.
+        """
+        signals, law, sources = scorer.space.signals, sources[0].law, list(sources)
+        chosen = [one.places[0] for one in sources]
+        patterns = [block[:, chosen] for block in law.patterns]
+        whole, blocks = np.hstack(patterns), len(patterns)
+        spectrum = np.empty((len(scorer.pulled), whole.shape[1]), dtype=np.float32)
+
+        def turned(place: int) -> None:
+            source = sources[place]
+            for number, course in enumerate(source.of(signals, source.values)):
+                column = number * len(chosen) + place
+                spectrum[:, column] = scorer.space.transform.quick_spectrum(course)[:, 0]
+
+        for place in range(len(sources)):
+            turned(place)
+        for place in range(min(refined, len(sources)) if self.lines is not None else 0):
+            others = spectrum.copy()
+            others[:, place :: len(chosen)] = 0.0
+            late = scorer.rows.without(others @ whole.T.astype(np.float32))
+            sources[place] = self._nearer(scorer, sources[place], late)
+            turned(place)
+        pull, information = scorer.columns(patterns, spectrum)
+        sizes, cost = np.ones(len(chosen)), self.cost
+        if self.free:
+            terms = NormalTerms(pull, information, np.full(len(chosen), SIZE_WIDTH**2))
+            best = zip(sources, terms.mean().tolist(), strict=True)
+            sizes = np.array([within(self.kind, one.values, size) for one, size in best])
+            cost += terms.cost(sizes)
+        field = (spectrum * np.tile(sizes, blocks)) @ whole.T
+        sized = tuple(
             replace(one, size=np.array([size])) for one, size in zip(sources, sizes, strict=True)
-        ),
-    )
+        )
+        largest = int(np.argmax(np.abs(sizes) * np.sqrt(np.maximum(np.diag(information), 0.0))))
+        scaled = dict(sources[largest].values)
+        for parameter in self.kind.sizes:
+            scaled[parameter.name] *= float(sizes[largest])
+        linear = self.kind.linear
+        unit = sources[largest].values[linear] if linear else 1.0
+        return Candidate(
+            self.kind, tuple(chosen), tuple(law.names[place] for place in chosen),
+            scaled, scorer.likelihood(field) - cost, cost=cost,
+            sizes=tuple(float(size * unit) for size in sizes) if self.free else (),
+            field=field,
+            sources=sized,
+            again=None if self.lines is None else partial(self._again, sources, scorer),
+        )  # fmt: skip
 
+    def _again(self, sources: Sequence[Course], scorer: Scorer, after: Workspace) -> Candidate:
+        """Seek the values of all of them over a floor that was estimated with them."""
+        return self.told(sources, Scorer.of(over(scorer.space, after)), len(sources))
 
-def _nearer(
-    kind: EffectKind, law: DeviceLaw, scorer: Scorer, source: Course, late: Matrix
-) -> Course:
-    """Search the value of one device around that of the grid, on what the others leave."""
-    name = next((p.name for p in kind.parameters if p.log and p.name in source.values), None)
-    if name is None or source.values[name] <= 0.0:
-        return source
-    law, place, transform = source.law, source.places[0], scorer.space.transform
-    bent = np.log(source.values[name]) + np.linspace(-OWN_REACH, OWN_REACH, OWN_VALUES)
-    sets = [{**source.values, name: float(one)} for one in np.exp(bent)]
-    courses = scorer.space.courses
-    courses.ahead(law, sets)
-    error = scorer.own_error(kind, np.array(source.places))
-    pull, information = np.zeros(len(sets)), np.zeros(len(sets))
-    for number, block in enumerate(law.patterns):
-        spectra = [courses.spectra(law, values)[number] for values in sets]
-        own = [one[:, 0] if one.shape[1] == 1 else one[:, place] for one in spectra]
-        steps = transform.turn(np.stack(own, axis=1))
-        part, weight = scorer.rows.weighed(block[:, place], steps, error, late)
-        pull, information = pull + part, information + weight
-    gain = (any_size if scales(kind) else given_size)(pull, information)
-    best = int(np.argmax(gain))
-    if 0 < best < OWN_VALUES - 1:  # the top of the parabola through the best and those beside it
-        low, middle, high = gain[best - 1 : best + 2]
-        bend = low - 2.0 * middle + high
-        shift = 0.5 * (low - high) / bend if bend < 0.0 else 0.0
-        value = float(np.exp(bent[best] + shift * (bent[1] - bent[0])))
-    else:
-        value = float(np.exp(bent[best]))
-    return replace(source, values={**source.values, name: value})
+    def _nearer(self, scorer: Scorer, source: Course, late: Matrix) -> Course:
+        """Search the value of one device on what the others leave: on a line, and ever nearer."""
+        name, own = self.lines or ("", ())
+        now, place, signals = source.values.get(name, 0.0), source.places[0], scorer.space.signals
+        if now <= 0.0:
+            return source
+        line = now * np.exp(np.linspace(-OWN_REACH, OWN_REACH, OWN_VALUES))
+        if own:
+            others = [float(np.broadcast_to(one, len(source.law.names))[place]) for one in own]
+            line = np.unique([now, *(one for one in others if one > 0.0)])
+        error = scorer.own_error(self.kind, np.array([place]))
+        gain = any_size if scales(self.kind) else given_size
+
+        def worth(values: Vector) -> Vector:
+            sets = [source.of(signals, {**source.values, name: float(one)}) for one in values]
+            pull, information = np.zeros(len(values)), np.zeros(len(values))
+            for block, courses in zip(source.law.patterns, zip(*sets, strict=True), strict=True):
+                spectrum = scorer.space.transform.quick_spectrum(np.hstack(courses))
+                steps = scorer.space.transform.turn(spectrum)
+                part, weight = scorer.rows.weighed(block[:, place], steps, error, late)
+                pull, information = pull + part, information + weight
+            return gain(pull, information)
+
+        for _ in range(OWN_TURNS):
+            best = int(np.argmax(worth(line)))
+            now, last = float(line[best]), len(line) - 1
+            ends = line[max(best - 1, 0)], line[min(best + 1, last)]
+            line = np.unique([now, *np.linspace(*ends, OWN_VALUES)])
+        return replace(source, values={**source.values, name: now})
