@@ -82,15 +82,16 @@ def refitted(
         The candidates, the best first; the workspace over the best floor without any; and by how
         much that is likelier than the floor of the saturated model's rest [nats].
     """
-    if not candidates or candidates[0].evidence < 0.5 * enough or candidates[0].noisy:
-        return list(candidates), space, 0.0  # what is said of the noise alone is not weighed so
+    # What is said of the noise alone is not weighed so, and may be of what a law does.
+    if all(one.noisy or one.evidence < 0.5 * enough for one in candidates):
+        return list(candidates), space, 0.0
     candidates = [device_by_device(one, space) for one in candidates]
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
     base, bare, lost = space.with_floor().log_posterior(), space, 0.0
     rivals = _Rivals(list(candidates), [one.evidence for one in candidates], enough)
     while (number := rivals.next()) is not None:
-        own, after = settled(rivals.candidates[number], space, times=1, spread=False)
+        own, after = settled(rivals.candidates[number], space, spread=False)
         less = base + (own.cost or 0.0)
         gain, best = after.log_posterior() - less, max(rivals.good(), default=0.0)
         for left in reversed(range(HEARD if gain > best / SWALLOWED else 0)):
