@@ -15,6 +15,7 @@ from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import grown_apart
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.seen import semidefinite
+from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
@@ -185,64 +186,68 @@ class _Set:
     lines: tuple[str, Sequence[Vector | float]] | None
 
     def told(self, sources: Sequence[Course], scorer: Scorer, refined: int) -> Candidate:
-        """Evaluate them, and seek the values of the first of them, each beside the others.
+        """Evaluate them as they are, and with values that are sought for the first of them.
+
+        A search beside all healthy errors would cost too much, so that what it finds may be worse.
 
         Args:
             sources: With the values at which that begins.
             scorer: Of what is left to explain.
             refined: How many are sought.
         """
-        signals, law, sources = scorer.space.signals, sources[0].law, list(sources)
+        found = [self._exact(sources, scorer)]
+        if self.lines is not None:
+            found.append(self._exact(self._nearer(sources, scorer, refined), scorer))
+        return max(found, key=lambda one: one.evidence)
+
+    def _exact(self, sources: Sequence[Course], scorer: Scorer) -> Candidate:
+        """Evaluate them exactly."""
+        kind, law = self.kind, sources[0].law
         chosen = [one.places[0] for one in sources]
-        patterns = [block[:, chosen] for block in law.patterns]
-        whole, blocks = np.hstack(patterns), len(patterns)
-        spectrum = np.empty((len(scorer.pulled), whole.shape[1]), dtype=np.float32)
-
-        def turned(place: int) -> None:
-            source = sources[place]
-            for number, course in enumerate(source.of(signals, source.values)):
-                column = number * len(chosen) + place
-                spectrum[:, column] = scorer.space.transform.quick_spectrum(course)[:, 0]
-
-        for place in range(len(sources)):
-            turned(place)
-        for place in range(min(refined, len(sources)) if self.lines is not None else 0):
-            others = spectrum.copy()
-            others[:, place :: len(chosen)] = 0.0
-            late = scorer.rows.without(others @ whole.T.astype(np.float32))
-            sources[place] = self._nearer(scorer, sources[place], late)
-            turned(place)
+        spectrum, patterns = _spectrum(sources, scorer)
         pull, information = scorer.columns(patterns, spectrum)
         sizes, cost = np.ones(len(chosen)), self.cost
         if self.free:
             terms = NormalTerms(pull, information, np.full(len(chosen), SIZE_WIDTH**2))
             best = zip(sources, terms.mean().tolist(), strict=True)
-            sizes = np.array([within(self.kind, one.values, size) for one, size in best])
+            sizes = np.array([within(kind, one.values, size) for one, size in best])
             cost += terms.cost(sizes)
-        field = (spectrum * np.tile(sizes, blocks)) @ whole.T
+        field = (spectrum * np.tile(sizes, len(patterns))) @ np.hstack(patterns).T
+        largest = int(np.argmax(np.abs(sizes) * np.sqrt(np.maximum(np.diag(information), 0.0))))
+        scaled = dict(sources[largest].values)
+        for parameter in kind.sizes:
+            scaled[parameter.name] *= float(sizes[largest])
+        unit = sources[largest].values[kind.linear] if kind.linear else 1.0
         sized = tuple(
             replace(one, size=np.array([size])) for one, size in zip(sources, sizes, strict=True)
         )
-        largest = int(np.argmax(np.abs(sizes) * np.sqrt(np.maximum(np.diag(information), 0.0))))
-        scaled = dict(sources[largest].values)
-        for parameter in self.kind.sizes:
-            scaled[parameter.name] *= float(sizes[largest])
-        linear = self.kind.linear
-        unit = sources[largest].values[linear] if linear else 1.0
         return Candidate(
-            self.kind, tuple(chosen), tuple(law.names[place] for place in chosen),
+            kind, tuple(chosen), tuple(law.names[place] for place in chosen),
             scaled, scorer.likelihood(field) - cost, cost=cost,
             sizes=tuple(float(size * unit) for size in sizes) if self.free else (),
-            field=field,
-            sources=sized,
+            field=field, sources=sized,
             again=None if self.lines is None else partial(self._again, sources, scorer),
         )  # fmt: skip
+
+    def _nearer(self, sources: Sequence[Course], scorer: Scorer, refined: int) -> list[Course]:
+        """Seek the values of the first of them in turn, each beside the others."""
+        nearer, count = list(sources), len(sources)
+        spectrum, patterns = _spectrum(sources, scorer)
+        whole = np.hstack(patterns).T.astype(np.float32)
+        first = list(range(min(refined, count)))
+        for place in first * (OWN_TURNS if len(first) == count else 1):
+            others = spectrum.copy()
+            others[:, place::count] = 0.0
+            late = scorer.rows.without(others @ whole)
+            nearer[place] = self._nearest(scorer, nearer[place], late)
+            spectrum[:, place::count] = _spectrum(nearer[place : place + 1], scorer)[0]
+        return nearer
 
     def _again(self, sources: Sequence[Course], scorer: Scorer, after: Workspace) -> Candidate:
         """Seek the values of all of them over a floor that was estimated with them."""
         return self.told(sources, Scorer.of(over(scorer.space, after)), len(sources))
 
-    def _nearer(self, scorer: Scorer, source: Course, late: Matrix) -> Course:
+    def _nearest(self, scorer: Scorer, source: Course, late: Matrix) -> Course:
         """Search the value of one device on what the others leave: on a line, and ever nearer."""
         name, own = self.lines or ("", ())
         now, place, signals = source.values.get(name, 0.0), source.places[0], scorer.space.signals
@@ -271,3 +276,13 @@ class _Set:
             ends = line[max(best - 1, 0)], line[min(best + 1, last)]
             line = np.unique([now, *np.linspace(*ends, OWN_VALUES)])
         return replace(source, values={**source.values, name: now})
+
+
+def _spectrum(sources: Sequence[Course], scorer: Scorer) -> tuple[Single, list[Matrix]]:
+    """Spectra of courses of one device each, (T, blocks · k), and their patterns, (n, k) each."""
+    signals, law = scorer.space.signals, sources[0].law
+    chosen = [one.places[0] for one in sources]
+    several = [one.of(signals, one.values) for one in sources]
+    whole = np.hstack([each[block] for block in range(len(law.patterns)) for each in several])
+    patterns = [np.asarray(block[:, chosen]) for block in law.patterns]
+    return scorer.space.transform.quick_spectrum(whole), patterns

@@ -75,6 +75,34 @@ def test_the_course_of_a_gap_is_told_over_the_floor_that_it_leaves() -> None:
     assert best.evidence > 2.0 * found[0].evidence
 
 
+def test_a_law_is_weighed_under_its_own_floor_though_noise_leads() -> None:
+    """What the floor of all has learned of a law looks like odd noise."""
+    wave = 8e-6 * np.sin(2.0 * np.pi * 0.031 * np.arange(ROWS) + 1.0)
+    space, found = scanned(record_with(np.outer(wave, LAYOUT.dispersion()), 20))
+    told = next(one for one in found if one.kind.id == "energy-drift" and one.walk is None)
+    noise = Candidate(
+        effect("noise-coloured"), (), (), {"correlation": -0.2}, told.evidence + 1.0, noisy=True
+    )
+    best = refitted([noise, told], space)[0][0]
+    assert best.kind.id == "energy-drift"
+    assert best.evidence > told.evidence
+
+
+def test_a_line_is_told_until_it_is_settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its second telling, over the first floor without it, is not the last."""
+    space, found = scanned(record_with(np.outer(5e-6 * np.sin(0.2 * np.arange(ROWS)), PATTERN), 23))
+    line = next(one for one in found if one.kind.id == "periodic-disturbance")
+    tellings: list[int] = []
+
+    def told(one: Candidate, after: Workspace) -> Candidate:
+        tellings.append(len(tellings))
+        return replace(one, field=np.asarray(one.field) * (1.0 + 0.5 ** len(tellings)))
+
+    monkeypatch.setattr(own_floors, "_told", told)
+    refitted([line], space)
+    assert len(tellings) > 1
+
+
 @pytest.mark.parametrize("coloured", [True, False])
 def test_of_a_bpm_whose_noise_remembers_no_law_of_its_readings_is_told(
     coloured: bool, monkeypatch: pytest.MonkeyPatch

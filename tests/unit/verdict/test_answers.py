@@ -26,10 +26,12 @@ def reversed_fourth(currents: Matrix) -> Matrix:
     return currents
 
 
+LIMITS = np.linspace(0.025, 0.06, 8)
+
+
 def clipped(currents: Matrix) -> Matrix:
-    """Correctors 2 and 7 end at limits of their own."""
-    currents[:, 2] = np.clip(currents[:, 2], -0.03, 0.03)
-    currents[:, 7] = np.clip(currents[:, 7], -0.05, 0.05)
+    """Correctors 2 to 9 end at limits of their own."""
+    currents[:, 2:10] = np.clip(currents[:, 2:10], -LIMITS, LIMITS)
     return currents
 
 
@@ -84,11 +86,12 @@ def test_a_reversed_corrector_is_named_and_the_gap_is_gone(told_reversed: Diagno
     assert (found.shrink.um or 0.0) > 0.9  # the floor of 900 rows is known to a twentieth
 
 
-@pytest.mark.nightly
-def test_correctors_that_end_at_limits_of_their_own_are_one_cause() -> None:
+def test_correctors_that_end_at_limits_of_their_own_are_one_cause_with_these_limits() -> None:
     found = answer(make_record(24, currents=last_row(clipped)))
-    assert found.causes[0].effect == "corrector-saturation"
-    assert set(found.causes[0].places) == {"C2", "C7"}
+    (cause,) = found.causes
+    assert cause.effect == "corrector-saturation"
+    told = {one.places[0]: one.values["limit"] for one in cause.by_place}
+    assert told == {f"C{2 + i}": pytest.approx(m, rel=0.05) for i, m in enumerate(LIMITS)}
 
 
 def test_a_lag_has_its_time_constant_in_the_interval() -> None:
