@@ -82,14 +82,16 @@ def refitted(
         The candidates, the best first; the workspace over the best floor without any; and by how
         much that is likelier than the floor of the saturated model's rest [nats].
     """
-    # What is said of the noise alone is not weighed so, and may be of what a law does.
-    if all(one.noisy or one.evidence < 0.5 * enough for one in candidates):
+    # What is said of the noise alone is not weighed so. It may be of what a law does, whose course
+    # is told; a random course would be as odd as the noise is.
+    told = bool(candidates) and candidates[0].noisy
+    if not any(one.evidence >= 0.5 * enough and _is_weighed(one, told) for one in candidates):
         return list(candidates), space, 0.0
     candidates = [device_by_device(one, space) for one in candidates]
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
     base, bare, lost = space.with_floor().log_posterior(), space, 0.0
-    rivals = _Rivals(list(candidates), [one.evidence for one in candidates], enough)
+    rivals = _Rivals(list(candidates), [one.evidence for one in candidates], enough, told)
     while (number := rivals.next()) is not None:
         own, after = settled(rivals.candidates[number], space, spread=False)
         less = base + (own.cost or 0.0)
@@ -123,12 +125,14 @@ class _Rivals:
         candidates: As they were scanned, the best first.
         worth: The most that each has under any floor so far [nats].
         enough: Evidence from which one is accepted [nats].
+        told: Whether only those whose course is told are weighed.
         own: Those that were weighed under floors of their own, by number.
     """
 
     candidates: list[Candidate]
     worth: list[float]
     enough: float
+    told: bool
     own: dict[int, Candidate] = field(default_factory=dict)
 
     def weighed(self, number: int, own: Candidate, after: Workspace) -> None:
@@ -187,7 +191,7 @@ class _Rivals:
         weighed = self._weighed()
         for number in np.argsort(-np.array(self.worth), kind="stable"):
             one = self.candidates[number]
-            if one.noisy or one.cost is None or number in self.own:
+            if not _is_weighed(one, self.told) or one.cost is None or number in self.own:
                 continue
             form = _form(one)
             if form in weighed and (not one.additive or self.worth[number] <= weighed[form]):
@@ -228,6 +232,11 @@ class _Rivals:
         for one in self.own.values():
             found[_form(one)] = max(one.evidence, found.get(_form(one), one.evidence))
         return found
+
+
+def _is_weighed(one: Candidate, told: bool) -> bool:
+    """Whether a floor of its own says anything: of noise none does, and of what is told only."""
+    return one.additive if told else not one.noisy
 
 
 def _form(one: Candidate) -> tuple[str, str]:
