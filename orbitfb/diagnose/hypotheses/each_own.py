@@ -185,6 +185,11 @@ class _Set:
     cost: float
     lines: tuple[str, Sequence[Vector | float]] | None
 
+    @property
+    def _is_told_again(self) -> bool:
+        """Whether values are; of what remembers they are with the states, of all devices alike."""
+        return self.lines is not None and not self.kind.remembers
+
     def told(self, sources: Sequence[Course], scorer: Scorer, refined: int) -> Candidate:
         """Evaluate them as they are, and with values that are sought for the first of them.
 
@@ -226,7 +231,7 @@ class _Set:
             scaled, scorer.likelihood(field) - cost, cost=cost,
             sizes=tuple(float(size * unit) for size in sizes) if self.free else (),
             field=field, sources=sized,
-            again=None if self.lines is None else partial(self._again, sources, scorer),
+            again=partial(self._again, sources, scorer) if self._is_told_again else None,
         )  # fmt: skip
 
     def _nearer(self, sources: Sequence[Course], scorer: Scorer, refined: int) -> list[Course]:
@@ -235,7 +240,7 @@ class _Set:
         spectrum, patterns = _spectrum(sources, scorer)
         whole = np.hstack(patterns).T.astype(np.float32)
         first = list(range(min(refined, count)))
-        for place in first * (OWN_TURNS if len(first) == count else 1):
+        for place in first:
             others = spectrum.copy()
             others[:, place::count] = 0.0
             late = scorer.rows.without(others @ whole)
