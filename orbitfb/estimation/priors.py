@@ -167,7 +167,8 @@ HOPE = 2.0
 best of 180 devices of a healthy record reaches 4."""
 
 MOST_REFINED = 6
-"""Devices of a set whose own values are searched between those of the grid; others keep it."""
+"""Devices of a set whose own values are searched between those of the grid when it is scanned; all
+are once it has a floor of its own."""
 
 STROKES = 0.05
 """Share of the rows in which single strokes are sought [1]: more of them are a walk."""

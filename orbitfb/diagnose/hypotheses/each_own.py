@@ -154,19 +154,13 @@ def _candidate(
         Course(law, (place,), rank.values(int(number[place]), place), np.ones(1))
         for place in chosen
     ]
-    its = _Set(kind, free, _cost(len(number), len(rank.alone)) * len(chosen), _lines(kind, rank))
+    value = next((p.name for p in kind.parameters if p.log), None)
+    its = _Set(
+        kind, free, _cost(len(number), len(rank.alone)) * len(chosen),
+        value if len(rank.alone) > 1 else None,
+        tuple(own[value] for own in rank.own if value in own),
+    )  # fmt: skip
     return its.told(sources, scorer, MOST_REFINED)
-
-
-def _lines(kind: EffectKind, rank: Ranked) -> tuple[str, Sequence[Vector | float]] | None:
-    """The value that differs from device to device, and some of it: numbers, or shape (D,) each.
-
-    Factors of what a device has, where the kind knows none of its own; None: there is one value.
-    """
-    name = next((p.name for p in kind.parameters if p.log), None)
-    if name is None or len(rank.alone) == 1:
-        return None
-    return name, [own[name] for own in rank.own if name in own]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,18 +171,21 @@ class _Set:
         kind: The effect.
         free: Whether each may have any size.
         cost: Of the devices and their values [nats].
-        lines: As `_lines` tells them.
+        value: Name of the value that differs from device to device; None: there is none.
+        known: Values that the kind knows for its devices, numbers or of shape (D,); empty: a device
+            has one near that of the grid.
     """
 
     kind: EffectKind
     free: bool
     cost: float
-    lines: tuple[str, Sequence[Vector | float]] | None
+    value: str | None
+    known: tuple[Vector | float, ...]
 
     @property
     def _is_told_again(self) -> bool:
-        """Whether values are; of what remembers they are with the states, of all devices alike."""
-        return self.lines is not None and not self.kind.remembers
+        """Whether values are; what remembers has them told with its states (`device_by_device`)."""
+        return self.value is not None and not self.kind.remembers
 
     def told(self, sources: Sequence[Course], scorer: Scorer, refined: int) -> Candidate:
         """Evaluate them as they are, and with values that are sought for the first of them.
@@ -201,8 +198,9 @@ class _Set:
             refined: How many are sought.
         """
         found = [self._exact(sources, scorer)]
-        if self.lines is not None:
-            found.append(self._exact(self._nearer(sources, scorer, refined), scorer))
+        if self.value is not None:
+            nearer = self._nearer(sources, scorer, refined, self.value)
+            found.append(self._exact(nearer, scorer))
         return max(found, key=lambda one: one.evidence)
 
     def _exact(self, sources: Sequence[Course], scorer: Scorer) -> Candidate:
@@ -234,17 +232,18 @@ class _Set:
             again=partial(self._again, sources, scorer) if self._is_told_again else None,
         )  # fmt: skip
 
-    def _nearer(self, sources: Sequence[Course], scorer: Scorer, refined: int) -> list[Course]:
+    def _nearer(
+        self, sources: Sequence[Course], scorer: Scorer, refined: int, value: str
+    ) -> list[Course]:
         """Seek the values of the first of them in turn, each beside the others."""
         nearer, count = list(sources), len(sources)
         spectrum, patterns = _spectrum(sources, scorer)
         whole = np.hstack(patterns).T.astype(np.float32)
-        first = list(range(min(refined, count)))
-        for place in first:
+        for place in range(min(refined, count)):
             others = spectrum.copy()
             others[:, place::count] = 0.0
             late = scorer.rows.without(others @ whole)
-            nearer[place] = self._nearest(scorer, nearer[place], late)
+            nearer[place] = self._nearest(scorer, nearer[place], late, value)
             spectrum[:, place::count] = _spectrum(nearer[place : place + 1], scorer)[0]
         return nearer
 
@@ -252,15 +251,15 @@ class _Set:
         """Seek the values of all of them over a floor that was estimated with them."""
         return self.told(sources, Scorer.of(over(scorer.space, after)), len(sources))
 
-    def _nearest(self, scorer: Scorer, source: Course, late: Matrix) -> Course:
-        """Search the value of one device on what the others leave: on a line, and ever nearer."""
-        name, own = self.lines or ("", ())
+    def _nearest(self, scorer: Scorer, source: Course, late: Matrix, name: str) -> Course:
+        """Search the value of one device on what the others leave: among some, and ever nearer."""
         now, place, signals = source.values.get(name, 0.0), source.places[0], scorer.space.signals
         if now <= 0.0:
             return source
         line = now * np.exp(np.linspace(-OWN_REACH, OWN_REACH, OWN_VALUES))
-        if own:
-            others = [float(np.broadcast_to(one, len(source.law.names))[place]) for one in own]
+        if self.known:
+            every = len(source.law.names)
+            others = [float(np.broadcast_to(one, every)[place]) for one in self.known]
             line = np.unique([now, *(one for one in others if one > 0.0)])
         error = scorer.own_error(self.kind, np.array([place]))
         gain = any_size if scales(self.kind) else given_size

@@ -14,22 +14,19 @@ from orbitfb.estimation.priors import CLOSE, HEARD, LEADING, MISFIT, SETTLED, SU
 from orbitfb.estimation.transform import Matrix
 
 
-def settled(
-    best: Candidate, space: Workspace, times: int = HEARD, spread: bool = True
-) -> tuple[Candidate, Workspace]:
+def settled(best: Candidate, space: Workspace, spread: bool = True) -> tuple[Candidate, Workspace]:
     """Accept a candidate, with the sizes that it has over the floor that it leaves.
 
     Args:
         best: The candidate.
         space: Without it.
-        times: That its sizes are told anew, at most.
         spread: Whether its values may differ a little from device to device.
     """
     if best.after is not None:  # it begins at the floor that it has already
         space = replace(over(space, best.after), trust=space.trust)
         best = replace(_told(best, best.after), after=None)
     after = best.accepted(space, spread)
-    for _ in range(times):
+    for _ in range(HEARD):
         if best.again is None or best.field is None:
             break
         more = _told(best, after)
@@ -82,16 +79,16 @@ def refitted(
         The candidates, the best first; the workspace over the best floor without any; and by how
         much that is likelier than the floor of the saturated model's rest [nats].
     """
-    # What is said of the noise alone is not weighed so. It may be of what a law does, whose course
-    # is told; a random course would be as odd as the noise is.
-    told = bool(candidates) and candidates[0].noisy
-    if not any(one.evidence >= 0.5 * enough and _is_weighed(one, told) for one in candidates):
+    # Noise has no floor of its own. Where it leads, a law whose course is told may be what is odd
+    # in it; a random course would be as odd as the noise.
+    coursed = bool(candidates) and candidates[0].noisy
+    if not any(one.evidence >= 0.5 * enough and _is_weighed(one, coursed) for one in candidates):
         return list(candidates), space, 0.0
     candidates = [device_by_device(one, space) for one in candidates]
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
     base, bare, lost = space.with_floor().log_posterior(), space, 0.0
-    rivals = _Rivals(list(candidates), [one.evidence for one in candidates], enough, told)
+    rivals = _Rivals(list(candidates), [one.evidence for one in candidates], enough, coursed)
     while (number := rivals.next()) is not None:
         own, after = settled(rivals.candidates[number], space, spread=False)
         less = base + (own.cost or 0.0)
@@ -125,14 +122,14 @@ class _Rivals:
         candidates: As they were scanned, the best first.
         worth: The most that each has under any floor so far [nats].
         enough: Evidence from which one is accepted [nats].
-        told: Whether only those whose course is told are weighed.
+        coursed: Whether only those whose course is told are weighed.
         own: Those that were weighed under floors of their own, by number.
     """
 
     candidates: list[Candidate]
     worth: list[float]
     enough: float
-    told: bool
+    coursed: bool
     own: dict[int, Candidate] = field(default_factory=dict)
 
     def weighed(self, number: int, own: Candidate, after: Workspace) -> None:
@@ -191,7 +188,7 @@ class _Rivals:
         weighed = self._weighed()
         for number in np.argsort(-np.array(self.worth), kind="stable"):
             one = self.candidates[number]
-            if not _is_weighed(one, self.told) or one.cost is None or number in self.own:
+            if not _is_weighed(one, self.coursed) or one.cost is None or number in self.own:
                 continue
             form = _form(one)
             if form in weighed and (not one.additive or self.worth[number] <= weighed[form]):
@@ -234,9 +231,9 @@ class _Rivals:
         return found
 
 
-def _is_weighed(one: Candidate, told: bool) -> bool:
-    """Whether a floor of its own says anything: of noise none does, and of what is told only."""
-    return one.additive if told else not one.noisy
+def _is_weighed(one: Candidate, coursed: bool) -> bool:
+    """Whether it may have a floor of its own: all but noise, or only what adds a course."""
+    return one.additive if coursed else not one.noisy
 
 
 def _form(one: Candidate) -> tuple[str, str]:

@@ -62,8 +62,8 @@ def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
 def beside_left(verdict: Judged, shrunk: Shrink | None, foretold: bool) -> Judged:
     """Judge anew with what the causes leave of the errors of predictions.
 
-    A law of another effect may take a part of what no effect of the library does, and no law, known
-    or free, find the rest: all of them together say less of it than the noise that is told for it.
+    An effect that is in no library may look like another one in part. No law need find the rest:
+    the floor may have it for noise. The quietest rows, or the reference, say that it is none.
 
     Args:
         verdict: By what was found.

@@ -9,6 +9,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.screen.deaf import check_deaf
 from orbitfb.diagnose.screen.run import screen
 from orbitfb.diagnose.verdict.proved import proved
+from orbitfb.records.layout import Devices
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import NOISE, make_record
 
@@ -77,3 +78,20 @@ def test_a_bpm_that_sees_the_beam_move_little_is_not_deaf() -> None:
     own = 0.05 * record.readings[:, 3] + 5.0 * noise(record)
     assert not check_deaf(with_readings(record, 3, 0, own))
     assert check_deaf(with_readings(record, 3, 0, noise(record)))
+
+
+def test_a_beam_that_moves_in_one_plane_only_makes_no_bpm_of_the_other_deaf() -> None:
+    record = moving()
+    count = len(record.layout.bpms)
+    names = tuple(f"B{i}" for i in range(count))
+    both = Devices(names + names, ("x",) * count + ("y",) * count, ("",) * 2 * count)
+    still = NOISE * np.random.default_rng(8).standard_normal(record.readings.shape)
+    response = np.vstack([record.layout.response, np.zeros_like(record.layout.response)])
+    wide = replace(
+        record,
+        layout=replace(record.layout, bpms=both, response=response),
+        readings=np.hstack([record.readings, still]),
+        filled=np.zeros((len(record), 2 * count), dtype=np.bool_),
+    )
+    assert wide.layout.planes == ("x", "y")
+    assert not check_deaf(wide)
