@@ -112,7 +112,6 @@ def test_what_no_library_has_is_unknown_at_its_device() -> None:
     assert found.unknown.places[0] == "C6 (x)"
 
 
-@pytest.mark.nightly
 def test_what_takes_a_part_of_an_effect_that_no_library_has_is_told_with_a_remainder() -> None:
     found = answer(make_record(24, currents=slow, gain=0.0))
     assert found.state == "named_plus_remainder"
@@ -123,6 +122,7 @@ def test_what_takes_a_part_of_an_effect_that_no_library_has_is_told_with_a_remai
     assert "One effect that is not in the library may make all of it" in found.unknown.text
 
 
+@pytest.mark.nightly
 def test_a_corrector_that_sticks_late_is_told_with_the_time() -> None:
     found = answer(make_record(27, currents=stuck_late, rows=700))
     first = found.causes[0]
