@@ -53,6 +53,7 @@ class Workspace:
         plain: Spectrum of the readings less the nominal model, shape (T, n) [m].
         explained: Spectrum of what accepted causes add, shape (T, n) [m].
         bend: Spectrum of what errors add together, beyond the sum of each alone, (T, n) [m].
+        refinement: Spectrum of what the table of places says beyond the linear model, (T, n) [m].
         noise: The floor.
         shape: Prior mean of the walk's covariance, shape (n, n) [m²].
         held: Covariance of the walk that accepted random causes own, shape (n, n) [m²].
@@ -67,6 +68,7 @@ class Workspace:
         reference: Of a healthy time, whose walk is the prior of this one's; None: there is none.
         trust: Steps that the prior mean of the walk is worth; zero: the next floor tells.
         bending: Share of `bend` in what errors of these sizes should add together.
+        refining: Share of it that the record shows.
         widened: Log of the factor by which undoing accepted causes widens the readings' density.
         asked: The healthy errors and their factored priors, once they were asked for.
     """
@@ -76,6 +78,7 @@ class Workspace:
     plain: Matrix
     explained: Matrix
     bend: Matrix
+    refinement: Matrix
     noise: StepNoise
     shape: Matrix
     held: Matrix
@@ -90,6 +93,7 @@ class Workspace:
     reference: "Workspace | None" = None
     trust: float = 0.0
     bending: float = 0.0
+    refining: float = 0.0
     widened: float = 0.0
     asked: list[tuple[NormalTerms, NormalPriors]] = field(default_factory=list, init=False)
 
@@ -126,7 +130,7 @@ class Workspace:
             blocks = wider(space.blocks, reference.blocks, reference.shares, reference.errors)
             worth = float(len(reference.transform))
             space = replace(space, blocks=blocks, reference=reference, trust=worth)
-        return space.with_floor(AT_FIRST).refined(kinds).with_floor()
+        return space.refinable(kinds).with_floor(AT_FIRST).with_floor()
 
     @classmethod
     def begun(
@@ -160,6 +164,7 @@ class Workspace:
             plain,
             explained=np.zeros_like(plain),
             bend=np.zeros_like(plain),
+            refinement=np.zeros_like(plain),
             noise=noise,
             shape=noise.walk,
             held=np.zeros_like(noise.walk),
@@ -173,46 +178,59 @@ class Workspace:
             weights=np.zeros(0),
         )
 
-    def refined(self, kinds: Sequence[EffectKind]) -> "Workspace":
+    def refinable(self, kinds: Sequence[EffectKind]) -> "Workspace":
         """Take what the table of places says beyond the linear model for a part of the model.
 
-        As much of it as the record shows, between nothing and all; one that is large enough to be
-        named is left to be found.
+        One that is large enough to be named is left to be found.
         """
-        space = self
+        found = np.zeros_like(self.plain)
         scale = float(np.sqrt(np.mean(np.diag(self.noise.white))))
         for kind in kinds:
             course = kind.refinement(self.signals)
             if course is None:
                 continue
             field = self.transform.spectrum(course)
-            weighed = self.noise.pull(field, self.transform)
-            information = float(np.sum(weighed * field))
-            size = float(np.clip(np.sum(weighed * space.residual) / max(information, 1e-300), 0, 1))
-            if size * float(np.sqrt(np.mean(field**2))) < MATERIAL * scale:
-                space = space.explaining(size * field)
-        return space
+            if float(np.sqrt(np.mean(field**2))) < MATERIAL * scale:
+                found += field
+        return replace(self, refinement=found)
+
+    def refined(self) -> "Workspace":
+        """Tell how much of the refinement the record shows, beside errors and causes."""
+        share = self._shown(self.refinement, self.refining * self.refinement)
+        return self if share is None else replace(self, refining=share)
 
     def bent(self) -> "Workspace":
         """Tell what the errors add together, of the sizes that they have now, if that has moved.
 
-        As much of it as the record shows, between nothing and all: errors that stand in for a
-        cause that is not known yet add nothing of the kind.
+        Errors that stand in for a cause that is not known yet add nothing of the kind.
         """
-        sizes = self.priors.mean(self.errors.pull)
-        whole = self._together(sizes)
+        whole = self._together(self.priors.mean(self.errors.pull))
+        share = self._shown(whole, self.bend)
+        return self if share is None else replace(self, bend=share * whole, bending=share)
+
+    def _shown(self, whole: Matrix, now: Matrix) -> float | None:
+        """Share of a field that the record shows beside errors, between nothing and all.
+
+        Args:
+            whole: The field, shape (T, n) [m].
+            now: What the residual is already without, shape (T, n) [m].
+
+        Returns:
+            The share [1]; None: nothing that matters would change.
+        """
         pulled = self.noise.pull(whole, self.transform)
         square = float(np.sum(pulled * whole))
         if square < BENT:
-            return self
+            return None
+        sizes = self.priors.mean(self.errors.pull)
         cross = self.terms.pull(pulled, self.variance > 0.0)
         beyond = square - float(cross @ self.priors.mean(cross))
         more = (float(np.sum(pulled * self.residual)) - float(cross @ sizes)) / beyond
-        share = float(np.clip(np.sum(pulled * self.bend) / square + more, 0.0, 1.0))
-        moved = share * whole - self.bend
+        share = float(np.clip(np.sum(pulled * now) / square + more, 0.0, 1.0))
+        moved = share * whole - now
         if 0.5 * float(np.sum(self.noise.pull(moved, self.transform) * moved)) < BENT:
-            return self
-        return replace(self, bend=share * whole, bending=share)
+            return None
+        return share
 
     def bend_of(self, sizes: Vector) -> Matrix:
         """What errors of other sizes add together, shape (T, n) [m]; of `sizes`, shape (k,)."""
@@ -227,8 +245,8 @@ class Workspace:
 
     @property
     def residual(self) -> Matrix:
-        """What the nominal model and the accepted causes leave, shape (T, n) [m]."""
-        return self.plain - self.explained - self.bend
+        """What the model and the accepted causes leave, shape (T, n) [m]."""
+        return self.plain - self.explained - self.bend - self.refining * self.refinement
 
     @property
     def variance(self) -> Vector:
@@ -292,7 +310,7 @@ class Workspace:
             trust = trusted(mixed, Moments.halves(left, self.transform, scatter), TRUST)
         noise = improve(mixed, moments, mixed.walk, FREELY, trust)
         fresh = replace(self, noise=noise, shape=shape, weights=weights, trust=trust)
-        return fresh._knowing(self._own).with_errors().bent()
+        return fresh._knowing(self._own).with_errors().refined().bent()
 
     def with_noise(self, noise: StepNoise) -> "Workspace":
         """Take another floor to begin with."""

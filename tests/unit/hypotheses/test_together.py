@@ -130,3 +130,19 @@ def test_errors_that_stand_in_for_another_cause_add_nothing_together() -> None:
     space = Workspace.of(record, kinds_for(record))
 
     assert space.bending < 0.05
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_sextupoles_of_the_table_are_told_beside_errors_of_all_bpms(seed: int) -> None:
+    """They are half as strong as there: a part of the model, and no cause beside another."""
+    layout = some_devices(9)
+    record = make_record(layout, np.zeros(300), seed)
+    beyond = effect("sextupole").refinement(Workspace.of(record, []).signals)
+    gains = 1.0 + 0.1 * np.random.default_rng(seed).standard_normal(len(layout.response))
+    record = replace(record, readings=(record.readings + 0.5 * beyond) * gains)
+    kinds = kinds_for(record)
+
+    accepted, rounds = tournament(Workspace.of(record, kinds), kinds)
+
+    assert [one.kind.id for one in accepted] == ["bpm-gain"]
+    assert rounds[-1].space.refining == pytest.approx(0.5, abs=0.2)
