@@ -8,6 +8,8 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.noise_laws import ReadingNoise
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.likelihood.corrected import over
+from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import EventLaw
 from orbitfb.estimation.priors import (
@@ -33,15 +35,39 @@ def scan_events(kind: EffectKind, law: EventLaw, scorer: Scorer) -> list[Candida
         known = strikes.rows(parts[name])
         return _jitter(kind, scorer, *known)[0] if law.often else _struck(*known)
 
-    name = max(parts, key=weigh)
+    return [_told(kind, law, scorer, max(parts, key=weigh), strikes)]
+
+
+def _told(
+    kind: EffectKind, law: EventLaw, scorer: Scorer, name: str, strikes: "_Strikes"
+) -> Candidate:
+    """What strikes some devices together, and again over the floor that it leaves.
+
+    Where many rows are struck the floor has some of it, and the weaker strikes do not show.
+
+    Args:
+        kind: The effect.
+        law: Of it.
+        scorer: Of what is left to explain.
+        name: Of the devices; empty: all.
+        strikes: Of all devices, over that floor.
+    """
+    members = law.parts[name] if name else np.arange(strikes.moves.shape[1])
     if law.often:
-        evidence, values, strength = _jitter(kind, scorer, *strikes.rows(parts[name]))
-        field = _field(scorer, strikes.shapes(parts[name]), strength)
+        _, values, strength, chosen = _jitter(kind, scorer, *strikes.rows(members))
+        field = _field(scorer, strikes.shapes(members), strength)
     else:
-        evidence, values, field = _in_runs(kind, scorer, strikes, parts[name])
-    places = tuple(map(int, parts[name])) if name else ()
-    gain = evidence - float(np.log(len(parts))) - VALUE_COST
-    return [Candidate(kind, places, (name,) if name else (), values, gain, field=field)]
+        values, field, chosen = _in_runs(kind, scorer, strikes, members)
+    cost = chosen + float(np.log(1 + len(law.parts))) + VALUE_COST
+
+    def again(after: Workspace) -> Candidate:
+        lower = Scorer.of(over(scorer.space, after))
+        return _told(kind, law, lower, name, _Strikes.of(law, lower))
+
+    return Candidate(
+        kind, tuple(map(int, members)) if name else (), (name,) if name else (), values,
+        scorer.likelihood(field) - cost, field=field, cost=cost, again=again,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +79,7 @@ class _Strikes:
         patterns: What one unit of it does to the readings, shape (n, D) [m].
         along: Pull of a unit at the row of every step, shape (T, D).
         gram: Information of units at one row, shape (D, D).
+        apart: Of units at one row with those at the row before, shape (D, D).
         every: Rows of the steps, shape (T,).
     """
 
@@ -60,6 +87,7 @@ class _Strikes:
     patterns: Matrix
     along: Matrix
     gram: Matrix
+    apart: Matrix
     every: Indices
 
     @classmethod
@@ -73,12 +101,15 @@ class _Strikes:
         )
         ratio = space.noise.ratio
         following = np.vstack([scorer.rows.late[1:], np.zeros_like(scorer.rows.late[:1])])
-        # Mean of λ/(q + λ) over the frequencies: of a mode that does not walk all is noise.
-        weight = 1.0 - np.sqrt(ratio / (ratio + 4.0))
+        # Mean of λ/(q + λ) over the frequencies, and of its product with cos ω, λ = 2 − 2 cos ω:
+        # of a mode that does not walk all is noise, from row to row for itself.
+        walks = np.sqrt(ratio / (ratio + 4.0))
+        weight = 1.0 - walks
+        beside = -walks * 0.5 * (ratio + 2.0 - np.sqrt(ratio * (ratio + 4.0)))
         seen = patterns.T @ space.noise.modes
         return cls(
             moves, patterns, (scorer.rows.late - following) @ patterns, (seen * weight) @ seen.T,
-            space.transform.step_rows(),
+            (seen * beside) @ seen.T, space.transform.step_rows(),
         )  # fmt: skip
 
     def rows(self, members: Indices) -> tuple[Vector, Vector]:
@@ -87,6 +118,16 @@ class _Strikes:
         pull = np.einsum("td,td->t", moves, self.along[:, members])
         inner = moves @ self.gram[np.ix_(members, members)]
         return pull, np.einsum("td,td->t", inner, moves)
+
+    def following(self, before: "_Strikes", members: Indices) -> Vector:
+        """Information that strikes share with others, of the row before, shape (T,).
+
+        Args:
+            before: The others.
+            members: Devices that are struck together.
+        """
+        inner = before.moves[np.ix_(self.every - 1, members)] @ self.apart[np.ix_(members, members)]
+        return np.einsum("td,td->t", inner, self.moves[np.ix_(self.every, members)])
 
     def shapes(self, members: Indices) -> Matrix:
         """Change of the readings at every row by some devices, shape (N, n) [m]."""
@@ -120,8 +161,10 @@ def _mixture(gain: Vector, share: float) -> float:
 
 def _in_runs(
     kind: EffectKind, scorer: Scorer, strikes: _Strikes, members: Indices
-) -> tuple[float, dict[str, float], Matrix]:
-    """Strikes of strength one that may follow each other: evidence, values, and what they add.
+) -> tuple[dict[str, float], Matrix, float]:
+    """Strikes of strength one that may follow each other: values, what they add, and their cost.
+
+    The cost of choosing the rows is that of their chain [nats], and what noise of any shape gives.
 
     Args:
         kind: The effect.
@@ -135,6 +178,8 @@ def _in_runs(
         runs.append(strikes.later(runs[-1], starts))
     known = [one.rows(members) for one in runs]
     pull, information = (np.stack(its) for its in zip(*known, strict=True))
+    for number in range(1, len(runs)):
+        information[number] += 2.0 * runs[number].following(runs[number - 1], members)
     gains = pull - 0.5 * information
     shares = np.geomspace(min(STRUCK_SHARES), max(STRUCK_SHARES), STRUCK_FINE)
     found = evidence_of_runs(gains, shares)
@@ -144,18 +189,19 @@ def _in_runs(
     values = {p.name: p.typical for p in kind.parameters}
     values[kind.parameters[0].name] = share
     length = likeliest_runs(gains, share)
-    field = sum(
-        _field(scorer, one.shapes(members), (length == run).astype(float))
-        for run, one in enumerate(runs, 1)
-        if np.any(length == run)
-    )
-    return float(found.max() - max(chance.max(), 0.0)), values, np.asarray(field)
+    field = np.zeros_like(scorer.space.plain)
+    for run, one in enumerate(runs, 1):
+        if np.any(length == run):
+            field += _field(scorer, one.shapes(members), (length == run).astype(float))
+    struck = np.count_nonzero(length)
+    cost = -struck * np.log(share) - (len(length) - struck) * np.log1p(-share)
+    return values, field, float(cost + max(chance.max(), 0.0))
 
 
 def _jitter(
     kind: EffectKind, scorer: Scorer, pull: Vector, information: Vector
-) -> tuple[float, dict[str, float], Vector]:
-    """A normal strength at every row: evidence, values, strength by step."""
+) -> tuple[float, dict[str, float], Vector, float]:
+    """A normal strength at every row: evidence, values, strength by step, and its cost [nats]."""
     best, variance = -np.inf, 0.0
     for values in scorer.space.courses.grid(kind):
         tried = values[kind.parameters[0].name] ** 2
@@ -164,7 +210,9 @@ def _jitter(
         if found > best:
             best, variance = found, tried
     strength = pull * variance / (1.0 + information * variance)
-    return best, {kind.parameters[0].name: float(np.sqrt(variance))}, strength
+    apart = strength**2 / variance if variance else np.zeros_like(strength)
+    cost = 0.5 * float(np.sum(apart + np.log1p(information * variance)))
+    return best, {kind.parameters[0].name: float(np.sqrt(variance))}, strength, cost
 
 
 def _field(scorer: Scorer, shapes: Matrix, strength: Vector) -> Matrix:

@@ -8,6 +8,7 @@ from orbitfb.diagnose.hypotheses import events
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.own_floors import settled
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import kinds_for, make_record, remembered
 
@@ -22,6 +23,27 @@ def losing(seed: int) -> Record:
         return state if rng.random() < SHARE else row
 
     return make_record(11, remembered(step))
+
+
+def losing_runs(seed: int, held: list[Vector]) -> Record:
+    """A loop that follows a slow motion; each time four sets of setpoints are lost in a row.
+
+    Args:
+        seed: Of the record.
+        held: Becomes what the correctors have, row by row.
+    """
+    rng = np.random.default_rng(seed)
+    left = [0]
+
+    def step(state: Vector, row: Vector) -> Vector:
+        if not left[0] and rng.random() < 0.02:
+            left[0] = 4
+        now = state if left[0] else row
+        left[0] = max(left[0] - 1, 0)
+        held.append(now)
+        return now
+
+    return make_record(12, remembered(step))
 
 
 def best(record: Record) -> Candidate:
@@ -39,3 +61,17 @@ def test_writes_that_are_missed_in_a_row_are_told_as_such(monkeypatch: pytest.Mo
 
     assert whole.values["probability"] == pytest.approx(SHARE, rel=0.25)
     assert whole.evidence > single.evidence + 100.0
+
+
+def test_rows_that_are_missed_one_after_the_other_are_all_found() -> None:
+    """Strikes in neighbouring rows share information: each for itself says less than both."""
+    held: list[Vector] = []
+    record = losing_runs(7, held)
+    truth = (np.array(held) - record.setpoints) @ record.layout.response.T
+    space = Workspace.of(record, kinds_for(record))
+
+    one, _ = settled(best(record), space, spread=False)
+
+    assert one.field is not None
+    left = space.transform.spectrum(truth) - one.field
+    assert np.sum(left**2) < 0.05 * np.sum(space.transform.spectrum(truth) ** 2)
