@@ -206,6 +206,9 @@ PARTNERS = 6
 SLOPE = 0.02
 """Step by which derivatives are taken, of a state and of the logarithm of a value [1]."""
 
+STEPS = (1.0, 0.5, 0.25)
+"""Shares of a step of Gauss and Newton that are tried, until one is better [1]. By hand."""
+
 WIDER = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Factors of a value that was told with all states in the middle, at which states are sought. By
 hand: with states in the middle a play of polled BPMs looked thirty times too narrow."""

@@ -23,11 +23,15 @@ from orbitfb.estimation.evidence import NormalTerms, given_size
 from orbitfb.estimation.priors import (
     HOPE,
     MOST_REFINED,
+    NEARER,
+    NEARER_TURNS,
     OWN_REACH,
     OWN_TURNS,
     OWN_VALUES,
     SCATTERED,
     SIZE_WIDTH,
+    SLOPE,
+    STEPS,
     VALUE_COST,
 )
 from orbitfb.estimation.transform import Matrix
@@ -248,8 +252,57 @@ class _Set:
         return nearer
 
     def _again(self, sources: Sequence[Course], scorer: Scorer, after: Workspace) -> Candidate:
-        """Seek the values of all of them over a floor that was estimated with them."""
-        return self.told(sources, Scorer.of(over(scorer.space, after)), len(sources))
+        """Seek the values of all of them over a floor that was estimated with them.
+
+        Together, as each for itself is right only as far as the others are; one after the other
+        where a course does not follow its value in a straight line.
+        """
+        lower = Scorer.of(over(scorer.space, after))
+        now = self._exact(sources, lower)
+        for _ in range(NEARER_TURNS):
+            step, promised = self._step(now.sources, lower)
+            if promised < NEARER:
+                return now
+            tried = (self._exact(self._moved(now.sources, share * step), lower) for share in STEPS)
+            more = next((one for one in tried if one.evidence > now.evidence + NEARER), None)
+            if more is None:
+                return self.told(now.sources, lower, len(sources))
+            now = more
+        return now
+
+    def _moved(self, sources: Sequence[Course], step: Vector) -> list[Course]:
+        """The same with other values: their logarithms have moved by a step, shape (k,)."""
+        name = str(self.value)
+        told: Vector = np.array([one.values.get(name, 0.0) for one in sources]) * np.exp(step)
+        return [
+            replace(one, values={**one.values, name: value})
+            for one, value in zip(sources, told.tolist(), strict=True)
+        ]
+
+    def _step(self, sources: Sequence[Course], scorer: Scorer) -> tuple[Vector, float]:
+        """A step of Gauss and Newton towards better values of all, beside the healthy errors.
+
+        Args:
+            sources: With values and sizes.
+            scorer: Of what is left to explain.
+
+        Returns:
+            Of the logarithms, shape (k,), and what it would gain if courses followed them [nats].
+        """
+        count, slope = len(sources), np.full(len(sources), SLOPE)
+        now, patterns = _spectrum(sources, scorer)
+        (up, _), (down, _) = (
+            _spectrum(self._moved(sources, one), scorer) for one in (slope, -slope)
+        )
+        sizes = np.tile(np.concatenate([one.size for one in sources]), len(patterns))
+        slopes = (up - down) / (2.0 * SLOPE)
+        pull, information = scorer.columns(
+            patterns, np.hstack([slopes * sizes, now * sizes]).astype(np.float32)
+        )
+        left = pull[:count] - information[:count, count:].sum(axis=1)
+        inner = information[:count, :count] + np.eye(count) / OWN_REACH**2
+        step = np.clip(np.linalg.solve(inner, left), -OWN_REACH, OWN_REACH)
+        return step, float(step @ left - 0.5 * step @ inner @ step)
 
     def _nearest(self, scorer: Scorer, source: Course, late: Matrix, name: str) -> Course:
         """Search the value of one device on what the others leave: among some, and ever nearer."""
