@@ -135,6 +135,7 @@ def tournament(
     """
     accepted: list[Candidate] = []
     rounds: list[Round] = []
+    found = 0
     led: Candidate | None = None  # what may be the next cause, in readings that were drawn with it
     space = first = redrawn(space)
     while True:
@@ -168,7 +169,7 @@ def tournament(
                 accepted, space = _told_again(accepted, over(first, moving))
             rounds.pop()
             continue
-        if len(accepted) == ROUNDS or _composed([*accepted, candidates[0]]):
+        if found == ROUNDS or _composed([*accepted, candidates[0]]):
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
@@ -186,6 +187,36 @@ def tournament(
             # what it may leave to others is a share of all that it explains
             best = replace(best, evidence=best.evidence + lost)
         accepted.append(best)
+        found += 1
+        for _ in range(HEARD):
+            more = _once_more(accepted, space)
+            if more is None:
+                break
+            tell("top again " + more.describe())
+            rounds.append(Round(space, (more,), ()))
+            accepted.append(more)
+            space = redrawn(more.accepted(space.trusting(), spread=False))
+
+
+def _once_more(accepted: Sequence[Candidate], space: Workspace) -> Candidate | None:
+    """What a law that remembers finds again at the devices of the last cause; None: too little.
+
+    No magnet follows such a law to the last part: it leaves some of what it explains, and others
+    would find that, too. To tell states and values once more, device by device, takes as long as
+    all the rest, so what is found stays as it was scanned.
+
+    Args:
+        accepted: Causes.
+        space: With them.
+    """
+    last = accepted[-1]
+    if not last.kind.remembers or not last.sources:
+        return None
+    for one in candidates_of(space, [last.kind]):
+        its = one.kind is last.kind and bool(one.sources) and set(one.places) == set(last.places)
+        if its and SURE < one.evidence < REMAINDER * last.evidence:
+            return one
+    return None
 
 
 def _leading(candidates: Sequence[Candidate]) -> list[Candidate]:
