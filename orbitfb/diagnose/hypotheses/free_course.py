@@ -1,10 +1,10 @@
-"""An unknown law of one device: any course that its own past, its square, and time can make.
+"""An unknown law: any course of a device that its past, its square and time make, or odd noise.
 
 The course of a device is a free sum of its own motion now and some rows ago, of its powers, and of
 its motion that grows, fades or swings slowly: a model that knows no law by name. Its sizes have a
 prior whose width the record tells. Where it explains more than every law of the library, what the
 device does is in no library; where it finds more beside a law that was accepted, the device does
-something else besides.
+something else besides. So it is with noise whose level follows the beam.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.noise_laws import free_level
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.estimation.priors import FREE_LAGS, FREE_WAVES, FREE_WIDTHS, VALUE_COST
 from orbitfb.estimation.transform import Matrix, StepTransform
@@ -23,9 +24,9 @@ class FreeCourse:
     """What a free course of a device explains.
 
     Args:
-        target: `bpm` or `corrector`.
-        place: Its number.
-        name: Of the device.
+        target: `bpm`, `corrector`, or `noise` for the level of a BPM's noise.
+        place: Its number; −1: all of them alike.
+        name: Of the device; empty: all of them alike.
         evidence: Log evidence less the choice of device and width [nats].
     """
 
@@ -36,7 +37,7 @@ class FreeCourse:
 
 
 def scan_free(scorer: Scorer) -> list[FreeCourse]:
-    """Weigh a free course of every BPM and every corrector, the most telling first."""
+    """Weigh a free course of every device, and of the level of its noise, the best first."""
     signals = scorer.space.signals
     layout = signals.record.layout
     found: list[FreeCourse] = []
@@ -50,6 +51,13 @@ def scan_free(scorer: Scorer) -> list[FreeCourse]:
             FreeCourse(target, place, devices.label(place), float(worth[place]) - cost)
             for place in range(len(worth))
         ]
+    alike, apart = free_level(scorer)
+    cost = float(np.log(1 + len(apart)))
+    found.append(FreeCourse("noise", -1, "", alike - cost))
+    found += [
+        FreeCourse("noise", place, layout.bpms.label(place), float(worth) - cost)
+        for place, worth in enumerate(apart)
+    ]
     return sorted(found, key=lambda one: -one.evidence)
 
 

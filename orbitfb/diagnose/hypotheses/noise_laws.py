@@ -74,6 +74,52 @@ def scan_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
     return [course, *_odd_level(kind, law, scorer)]
 
 
+def free_level(scorer: Scorer) -> tuple[float, Vector]:
+    """Log evidence that the level of the noise follows the beam, by a law that nobody names.
+
+    The variance is any sum of how far the beam is from its mean and from the middle of the BPM, of
+    that squared, and of the length and the square of its step. Each of these costs ½ ln T (G.
+    Schwarz, Ann. Statist. 6 (1978) 461). The score of the sum has the variance that the record
+    shows (H. White, Econometrica 50 (1982) 1), so that tails alone tell nothing. What goes with
+    time is left out: effects of the library do.
+
+    Returns:
+        Of one law of all BPMs, and of a law of every BPM for itself, shape (n,) [nats].
+    """
+    space = scorer.space
+    noise = ReadingNoise.of(scorer).values
+    rows, orbit = space.transform.step_rows(), space.signals.orbit
+    now, step = orbit[rows], orbit[rows] - orbit[rows - 1]
+    about = now - now.mean(axis=0)
+    course = np.pi * (np.arange(len(rows)) + 0.5) / len(rows)
+    waves = np.cos(course[:, None] * np.arange(LEVEL_WINDOWS + 1))
+    waves /= np.sqrt(np.sum(waves**2, axis=0))
+
+    def scaled(motion: Matrix) -> Matrix:
+        return motion / np.maximum(np.mean(motion, axis=0), 1e-300)
+
+    def steady(motion: Matrix) -> Matrix:
+        return motion - waves @ (waves.T @ motion)
+
+    square = steady(noise**2 / np.mean(noise**2, axis=0))
+    follows = np.stack(
+        [
+            square * steady(scaled(its))
+            for its in (np.abs(about), about**2, np.abs(now), np.abs(step), step**2)
+        ],
+        axis=2,
+    )
+    score = follows.sum(axis=0)
+    spread = np.einsum("tdk,tdl->dkl", follows, follows)
+    cost = 0.5 * score.shape[1] * float(np.log(len(rows)))
+
+    def worth(score: Matrix, spread: Matrix) -> Vector:
+        shown = np.linalg.pinv(spread, hermitian=True) @ score[..., None]
+        return 0.5 * np.sum(score * shown[..., 0], axis=-1) - cost
+
+    return float(worth(score.sum(axis=0), spread.sum(axis=0))), worth(score, spread)
+
+
 def _odd_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate]:
     """Find BPMs whose noise is far from that of the others, as far as the others are alike.
 

@@ -27,7 +27,7 @@ def tournament(rows: Sequence[TournamentRow], free: float | None) -> str:
     colours = [RED if row.accepted else BLUE for row in rows]
     panel.lying(gains, colours, [f"{gain:.0f}" for gain in gains])
     if free is not None and 0.0 < free < panel.x.high:
-        panel.moment(free, GREY, "an unknown law of one device")
+        panel.moment(free, GREY, "an unknown law")
     said = "Evidence for each effect at its best places. Red: named as a cause."
     return picture(said, [panel])
 

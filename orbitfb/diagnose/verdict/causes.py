@@ -175,13 +175,19 @@ def unknown_of(
             return None
         return Unknown(places=tuple(name for one in untold for name in one.devices), text=proved)
     told = sum(one.evidence for one in causes)
-    places = tuple(one.name for one in verdict.left[:_WHERE])
+    places = tuple(one.name for one in verdict.left[:_WHERE] if one.name)
     text = ""
     if verdict.rest is not None:
         places = verdict.rest.names[:_WHERE]
         text = (
             f"The rest looks most like {verdict.rest.kind.title}. If so many effects seem to act "
             "at once, one effect that is not in the library is more likely."
+        )
+    elif verdict.left and verdict.left[0].target == "noise":
+        where = f"BPM {verdict.left[0].name}" if verdict.left[0].name else "all BPMs"
+        text = (
+            f"The noise of {where} grows or shrinks with how far or how fast the beam moves there, "
+            "by a law that is not in the library."
         )
     elif places:
         device = {"bpm": "BPM", "corrector": "corrector"}[verdict.left[0].target]

@@ -9,7 +9,7 @@ from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.verdict.engine import diagnose
 from orbitfb.physics.optics import Matrix
 from orbitfb.records.record import Record
-from tests.unit.hypotheses.small_records import Bent, lagging, make_record
+from tests.unit.hypotheses.small_records import NOISE, Bent, lagging, make_record
 
 
 def answer(record: Record) -> Diagnosis:
@@ -61,6 +61,20 @@ def stuck_late(currents: Matrix) -> Matrix:
 def cubic(orbit: Matrix) -> Matrix:
     """Every BPM reads the less, the further out the beam is."""
     return 4e-6 * np.tanh(orbit / 4e-6)
+
+
+def louder_outside(seed: int) -> Bent:
+    """The noise of every BPM is the louder, the further out the beam is: in no library."""
+    rng = np.random.default_rng(seed)
+    return lambda orbit: orbit + NOISE * np.abs(orbit) / 1e-6 * rng.standard_normal(orbit.shape)
+
+
+def with_tails(seed: int) -> Bent:
+    """One reading in twenty has five times the noise, wherever the beam is."""
+    rng = np.random.default_rng(seed)
+    return lambda orbit: (
+        orbit + 5.0 * NOISE * rng.standard_normal(orbit.shape) * (rng.random(orbit.shape) < 0.05)
+    )
 
 
 @pytest.mark.parametrize("seed", [21, pytest.param(22, marks=pytest.mark.nightly)])
@@ -169,3 +183,14 @@ def test_a_cause_with_rivals_comes_with_the_experiment_that_decides(
     assert found.causes[0].alternatives == ("corrector-gain",)
     assert found.experiment is not None
     assert found.experiment.splits == ("corrector-polarity", "corrector-gain")
+
+
+def test_noise_that_follows_the_beam_is_no_noise_of_the_library() -> None:
+    found = answer(make_record(27, sensed=louder_outside(1)))
+    assert found.state == "unknown"
+    assert "noise of all BPMs" in found.headline
+
+
+def test_noise_with_tails_does_not_follow_the_beam() -> None:
+    found = answer(make_record(28, sensed=with_tails(2)))
+    assert (found.state, [one.effect for one in found.causes]) == ("named", ["noise-tails"])
