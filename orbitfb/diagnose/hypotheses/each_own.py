@@ -10,12 +10,11 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import field_of
 from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, cost_of, scales, within
-from orbitfb.diagnose.hypotheses.refit import Course
+from orbitfb.diagnose.hypotheses.refit import Course, moved, spectrum_of, step_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import grown_apart
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.seen import semidefinite
-from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
@@ -30,7 +29,6 @@ from orbitfb.estimation.priors import (
     OWN_VALUES,
     SCATTERED,
     SIZE_WIDTH,
-    SLOPE,
     STEPS,
     VALUE_COST,
 )
@@ -211,7 +209,7 @@ class _Set:
         """Evaluate them exactly."""
         kind, law = self.kind, sources[0].law
         chosen = [one.places[0] for one in sources]
-        spectrum, patterns = _spectrum(sources, scorer)
+        spectrum, patterns = spectrum_of(sources, scorer)
         pull, information = scorer.columns(patterns, spectrum)
         sizes, cost = np.ones(len(chosen)), self.cost
         if self.free:
@@ -241,14 +239,14 @@ class _Set:
     ) -> list[Course]:
         """Seek the values of the first of them in turn, each beside the others."""
         nearer, count = list(sources), len(sources)
-        spectrum, patterns = _spectrum(sources, scorer)
+        spectrum, patterns = spectrum_of(sources, scorer)
         whole = np.hstack(patterns).T.astype(np.float32)
         for place in range(min(refined, count)):
             others = spectrum.copy()
             others[:, place::count] = 0.0
             late = scorer.rows.without(others @ whole)
             nearer[place] = self._nearest(scorer, nearer[place], late, value)
-            spectrum[:, place::count] = _spectrum(nearer[place : place + 1], scorer)[0]
+            spectrum[:, place::count] = spectrum_of(nearer[place : place + 1], scorer)[0]
         return nearer
 
     def _again(self, sources: Sequence[Course], scorer: Scorer, after: Workspace) -> Candidate:
@@ -257,52 +255,19 @@ class _Set:
         Together, as each for itself is right only as far as the others are; one after the other
         where a course does not follow its value in a straight line.
         """
-        lower = Scorer.of(over(scorer.space, after))
+        lower, name = Scorer.of(over(scorer.space, after)), str(self.value)
         now = self._exact(sources, lower)
         for _ in range(NEARER_TURNS):
-            step, promised = self._step(now.sources, lower)
+            step, promised = step_of(now.sources, name, lower)
             if promised < NEARER:
                 return now
-            tried = (self._exact(self._moved(now.sources, share * step), lower) for share in STEPS)
+            nearer = (moved(now.sources, name, share * step) for share in STEPS)
+            tried = (self._exact(one, lower) for one in nearer)
             more = next((one for one in tried if one.evidence > now.evidence + NEARER), None)
             if more is None:
                 return self.told(now.sources, lower, len(sources))
             now = more
         return now
-
-    def _moved(self, sources: Sequence[Course], step: Vector) -> list[Course]:
-        """The same with other values: their logarithms have moved by a step, shape (k,)."""
-        name = str(self.value)
-        told: Vector = np.array([one.values.get(name, 0.0) for one in sources]) * np.exp(step)
-        return [
-            replace(one, values={**one.values, name: value})
-            for one, value in zip(sources, told.tolist(), strict=True)
-        ]
-
-    def _step(self, sources: Sequence[Course], scorer: Scorer) -> tuple[Vector, float]:
-        """A step of Gauss and Newton towards better values of all, beside the healthy errors.
-
-        Args:
-            sources: With values and sizes.
-            scorer: Of what is left to explain.
-
-        Returns:
-            Of the logarithms, shape (k,), and what it would gain if courses followed them [nats].
-        """
-        count, slope = len(sources), np.full(len(sources), SLOPE)
-        now, patterns = _spectrum(sources, scorer)
-        (up, _), (down, _) = (
-            _spectrum(self._moved(sources, one), scorer) for one in (slope, -slope)
-        )
-        sizes = np.tile(np.concatenate([one.size for one in sources]), len(patterns))
-        slopes = (up - down) / (2.0 * SLOPE)
-        pull, information = scorer.columns(
-            patterns, np.hstack([slopes * sizes, now * sizes]).astype(np.float32)
-        )
-        left = pull[:count] - information[:count, count:].sum(axis=1)
-        inner = information[:count, :count] + np.eye(count) / OWN_REACH**2
-        step = np.clip(np.linalg.solve(inner, left), -OWN_REACH, OWN_REACH)
-        return step, float(step @ left - 0.5 * step @ inner @ step)
 
     def _nearest(self, scorer: Scorer, source: Course, late: Matrix, name: str) -> Course:
         """Search the value of one device on what the others leave: among some, and ever nearer."""
@@ -333,13 +298,3 @@ class _Set:
             ends = line[max(best - 1, 0)], line[min(best + 1, last)]
             line = np.unique([now, *np.linspace(*ends, OWN_VALUES)])
         return replace(source, values={**source.values, name: now})
-
-
-def _spectrum(sources: Sequence[Course], scorer: Scorer) -> tuple[Single, list[Matrix]]:
-    """Spectra of courses of one device each, (T, blocks · k), and their patterns, (n, k) each."""
-    signals, law = scorer.space.signals, sources[0].law
-    chosen = [one.places[0] for one in sources]
-    several = [one.of(signals, one.values) for one in sources]
-    whole = np.hstack([each[block] for block in range(len(law.patterns)) for each in several])
-    patterns = [np.asarray(block[:, chosen]) for block in law.patterns]
-    return scorer.space.transform.quick_spectrum(whole), patterns

@@ -5,15 +5,18 @@ columns join the healthy errors: the scatter of δ is a variance component of it
 is tried later is weighed with all δ marginalised (a joint refit).
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import FIRST_STATE, EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, Signals
+from orbitfb.estimation.priors import OWN_REACH, SLOPE
 from orbitfb.estimation.transform import Indices, Matrix
 
 _STEP = 0.02
@@ -131,3 +134,47 @@ def joined(parts: list[tuple[str, Matrix, Matrix]]) -> tuple[Matrix, Indices, Ma
     """Columns of several parts: patterns (n, P), their numbers (P,), courses (N, P)."""
     patterns = np.hstack([pattern for _, pattern, _ in parts])
     return patterns, np.arange(patterns.shape[1]), np.hstack([course for _, _, course in parts])
+
+
+def spectrum_of(sources: Sequence[Course], scorer: Scorer) -> tuple[Single, list[Matrix]]:
+    """Spectra of courses of one device each, (T, blocks · k), and their patterns, (n, k) each."""
+    signals, law = scorer.space.signals, sources[0].law
+    chosen = [one.places[0] for one in sources]
+    several = [one.of(signals, one.values) for one in sources]
+    whole = np.hstack([each[block] for block in range(len(law.patterns)) for each in several])
+    patterns = [np.asarray(block[:, chosen]) for block in law.patterns]
+    return scorer.space.transform.quick_spectrum(whole), patterns
+
+
+def moved(sources: Sequence[Course], name: str, step: Vector) -> list[Course]:
+    """The same with other values: their logarithms have moved by a step, shape (k,)."""
+    told: Vector = np.array([one.values.get(name, 0.0) for one in sources]) * np.exp(step)
+    return [
+        replace(one, values={**one.values, name: value})
+        for one, value in zip(sources, told.tolist(), strict=True)
+    ]
+
+
+def step_of(sources: Sequence[Course], name: str, scorer: Scorer) -> tuple[Vector, float]:
+    """A step of Gauss and Newton towards better values of all, beside the healthy errors.
+
+    Args:
+        sources: Of one device each, with values and sizes.
+        name: Of the value.
+        scorer: Of what is left to explain.
+
+    Returns:
+        Of the logarithms, shape (k,), and what it would gain if courses followed them [nats].
+    """
+    count, slope = len(sources), np.full(len(sources), SLOPE)
+    now, patterns = spectrum_of(sources, scorer)
+    up, down = (spectrum_of(moved(sources, name, one), scorer)[0] for one in (slope, -slope))
+    sizes = np.tile(np.concatenate([one.size for one in sources]), len(patterns))
+    slopes = (up - down) / (2.0 * SLOPE)
+    both = np.hstack([slopes * sizes, now * sizes]).astype(np.float32)
+    pull, information = scorer.columns(patterns, both)
+    left = pull[:count] - information[:count, count:].sum(axis=1)
+    inner = information[:count, :count] + np.eye(count) / OWN_REACH**2
+    step = np.linalg.solve(inner, left)
+    step *= OWN_REACH / max(OWN_REACH, float(np.max(np.abs(step))))
+    return step, float(step @ left - 0.5 * step @ inner @ step)

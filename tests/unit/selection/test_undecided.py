@@ -7,7 +7,7 @@ import numpy as np
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.corrected import drawn_apart
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.selection.rounds import _undecided
+from orbitfb.diagnose.selection.undecided import undecided
 from tests.unit.hypotheses.small_records import kinds_for, make_record
 
 
@@ -25,6 +25,6 @@ def test_a_rival_is_weighed_again_only_if_what_was_not_read_may_lift_it_to_the_b
     far = replace(one, evidence=best.evidence - 1.1 * more)
 
     assert more > 20.0
-    assert _undecided([best, near, far], space) == [best, near]
-    assert _undecided([best, far], space) == [best]
-    assert _undecided([best, near], Workspace.of(make_record(21), kinds_for(record))) == []
+    assert undecided([best, near, far], space) == [best, near]
+    assert undecided([best, far], space) == [best]
+    assert undecided([best, near], Workspace.of(make_record(21), kinds_for(record))) == []
