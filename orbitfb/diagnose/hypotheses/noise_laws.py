@@ -1,4 +1,4 @@
-"""Laws of the reading noise itself: its level in time, its memory."""
+"""Laws of the reading noise itself: its level in time or with the beam, its memory."""
 
 from dataclasses import dataclass
 
