@@ -211,9 +211,11 @@ def _once_more(accepted: Sequence[Candidate], space: Workspace) -> Candidate | N
     last = accepted[-1]
     if not last.kind.remembers or not last.sources:
         return None
+    # Half of what would be enough: as much again may be in the floor.
+    least = 0.5 * enough_beside(sum(one.evidence for one in accepted), space)
     for one in candidates_of(space, [last.kind]):
         its = one.kind is last.kind and bool(one.sources) and set(one.places) == set(last.places)
-        if its and SURE < one.evidence < REMAINDER * last.evidence:
+        if its and least < one.evidence < REMAINDER * last.evidence:
             return one
     return None
 
