@@ -1,4 +1,6 @@
-"""Causes that were accepted stay free: the values of every device may differ a little.
+"""Courses of a candidate near other values: to seek better ones, and to leave them free.
+
+Causes that were accepted stay free: the values of every device may differ a little.
 
 To first order another value θ (1 + δ) of a device adds δ · θ ∂course/∂θ to what it does. These
 columns join the healthy errors: the scatter of δ is a variance component of its own, and whatever
@@ -18,9 +20,6 @@ from orbitfb.effects.kinds import FIRST_STATE, EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.estimation.priors import OWN_REACH, SLOPE
 from orbitfb.estimation.transform import Indices, Matrix
-
-_STEP = 0.02
-"""Step of a value by which its derivative is taken, of the value [1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,8 +104,8 @@ class Course:
             free = parameter in kind.fitted(signals.record) and not parameter.meanings
             if parameter.name in scaled or not free or parameter.whole or value == 0.0:
                 continue
-            moved = self.of(signals, {**self.values, parameter.name: value * (1.0 + _STEP)})
-            slope = tuple((new - old) / _STEP for new, old in zip(moved, now, strict=True))
+            moved = self.of(signals, {**self.values, parameter.name: value * (1.0 + SLOPE)})
+            slope = tuple((new - old) / SLOPE for new, old in zip(moved, now, strict=True))
             changes.append((parameter.name, slope))
         for name, change in changes:
             for block, course in zip(self.law.patterns, change, strict=True):

@@ -134,7 +134,7 @@ def tournament(
     """
     accepted: list[Candidate] = []
     rounds: list[Round] = []
-    found = 0
+    causes = 0  # what a law finds once more is none of its own
     led: Candidate | None = None  # what may be the next cause, in readings that were drawn with it
     space = first = redrawn(space)
     while True:
@@ -168,7 +168,7 @@ def tournament(
                 accepted, space = _told_again(accepted, over(first, moving))
             rounds.pop()
             continue
-        if found == ROUNDS or _composed([*accepted, candidates[0]]):
+        if causes == ROUNDS or _composed([*accepted, candidates[0]]):
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
@@ -186,7 +186,7 @@ def tournament(
             # what it may leave to others is a share of all that it explains
             best = replace(best, evidence=best.evidence + lost)
         accepted.append(best)
-        found += 1
+        causes += 1
         for _ in range(HEARD):
             more = _once_more(accepted, space)
             if more is None:

@@ -26,7 +26,7 @@ def losing(seed: int) -> Record:
 
 
 def losing_runs(seed: int, held: list[Vector]) -> Record:
-    """A loop that follows a slow motion; each time four sets of setpoints are lost in a row.
+    """A loop whose setpoints are lost now and then, each time four sets of them in a row.
 
     Args:
         seed: Of the record.
