@@ -182,6 +182,15 @@ def test_every_effect_of_typical_size_has_a_separation(kind: EffectKind, weak: W
     assert separation(view, suspect, suspect) <= 1e-6 * seen
 
 
+def test_an_error_of_the_ring_is_one_wherever_the_suspect_sits(weak: Workspace) -> None:
+    """A delay of one corrector is an effect of the loop."""
+    moves = np.zeros((100, len(LAYOUT.correctors)))
+    gains = loop_gains(weak.signals.record)
+    late = Suspect(effect("loop-delay"), (PLACE,), {"ticks": 1.0})
+    assert late.kind.target == "ring"
+    assert len(outlook(weak, moves, gains, {"ring": late.places}).terms) == 1  # it is longer
+
+
 def test_the_gain_of_the_loop_is_read_off_the_record(weak: Workspace) -> None:
     gains = loop_gains(weak.signals.record)
     assert np.median(gains[:10]) == pytest.approx(0.35, abs=0.05)
