@@ -1,5 +1,6 @@
 """Laws whose course is a constant: of them the row at which they begin is all that shows."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,10 +45,12 @@ def scan_jumps(
     names: tuple[str, ...],
     values: Values,
     scorer: Scorer,
+    groups: Sequence[Indices] = (),
 ) -> list[Candidate]:
     """Find the place and the row of the most telling jump, and places that jump at one row.
 
-    All BPMs of a crate jump when it is switched on again, each by an offset of its own.
+    All BPMs of a crate jump when it is switched on again, each by an offset of its own, or all by
+    the same where it is the reference of the crate that jumps.
 
     Args:
         kind: The effect.
@@ -55,20 +58,20 @@ def scan_jumps(
         names: Of the places; none: the ring.
         values: Of its parameters, of the usual size.
         scorer: Of what is left to explain.
+        groups: Places that may jump by the same.
     """
-    transform = scorer.space.transform
     pull, own = of_jumps(patterns, scorer)
-    gain = any_size(pull, np.broadcast_to(own, pull.shape))
-    step, place = map(int, np.unravel_index(int(np.argmax(gain)), gain.shape))
-    jump = _Jump(kind, patterns, names, values, int(transform.step_rows()[step]))
-    pulled, information = scorer.evaluate([jump.field(transform, place, 1.0)])
-    size = float(best_size(pulled, information[0], SIZE_WIDTH**2)[0])
-    evidence = float(any_size(pulled, information[0])[0])
-    single = jump.one(transform, place, size, evidence - float(np.log(gain.size)) - VALUE_COST)
-    if not names:
-        return [single]
-    several = _several(jump, pull, scorer)
-    return [single] if several is None else [single, several]
+    single = [(place,) for place in range(patterns.shape[1])]
+    jump = _Jump(kind, patterns, names, values, 0)
+    found = [jump.best(scorer, single, pull, own)]
+    if groups:
+        several = [tuple(map(int, group)) for group in groups]
+        shapes = np.stack([np.sum(patterns[:, list(one)], axis=1) for one in several], axis=1)
+        found.append(jump.best(scorer, several, *of_jumps(shapes, scorer)))
+    if names:
+        apart = _several(jump, pull, scorer)
+        found += [] if apart is None else [apart]
+    return found
 
 
 def _several(jump: "_Jump", pull: Matrix, scorer: Scorer) -> Candidate | None:
@@ -118,16 +121,46 @@ class _Jump:
         late = (np.arange(transform.rows) >= self.row).astype(float)[:, None]
         return transform.quick_spectrum(late)
 
-    def field(self, transform: StepTransform, place: int, size: float) -> Matrix:
-        """What a jump of a size adds to the readings, shape (T, n) [m]."""
-        return size * self.course(transform) @ self.patterns[:, [place]].T
+    def field(self, transform: StepTransform, places: Sequence[int], size: float) -> Matrix:
+        """What places that jump by a size add to the readings, shape (T, n) [m]."""
+        return size * self.course(transform) @ np.sum(self.patterns[:, places], axis=1)[None]
 
-    def one(self, transform: StepTransform, place: int, size: float, evidence: float) -> Candidate:
-        """A single jump of a size."""
+    def best(
+        self, scorer: Scorer, sets: Sequence[tuple[int, ...]], pull: Matrix, information: Vector
+    ) -> Candidate:
+        """The most telling jump of all rows and sets of places, each by one size.
+
+        Args:
+            scorer: Of what is left to explain.
+            sets: Of places, D of them.
+            pull: Of every row and set, shape (T, D).
+            information: Of the sets, shape (D,).
+        """
+        gain = any_size(pull, np.broadcast_to(information, pull.shape))
+        step, number = map(int, np.unravel_index(int(np.argmax(gain)), gain.shape))
+        row = int(scorer.space.transform.step_rows()[step])
+        cost = float(np.log(gain.size)) + VALUE_COST
+        return replace(self, row=row).sized(scorer, list(sets[number]), cost)
+
+    def sized(self, scorer: Scorer, places: list[int], cost: float) -> Candidate:
+        """Places that jump by one size, whatever is most likely."""
+        transform = scorer.space.transform
+        pulled, information = scorer.evaluate([self.field(transform, places, 1.0)])
+        size = float(best_size(pulled, information[0], SIZE_WIDTH**2)[0])
+        evidence = float(any_size(pulled, information[0])[0])
+        return replace(
+            self.one(transform, places, size, evidence - cost),
+            again=lambda after: self.sized(Scorer.of(over(scorer.space, after)), places, cost),
+        )
+
+    def one(
+        self, transform: StepTransform, places: list[int], size: float, evidence: float
+    ) -> Candidate:
+        """Places that jump by one size."""
         scaled = {**self.values, **{p.name: size * self.values[p.name] for p in self.kind.sizes}}
-        where = (place,) if self.names else ()
+        where = tuple(places) if self.names else ()
         told = tuple(self.names[one] for one in where)
-        field = self.field(transform, place, size)
+        field = self.field(transform, places, size)
         return Candidate(self.kind, where, told, scaled, evidence, onset=self.row, field=field)
 
     def together(self, scorer: Scorer, places: Indices) -> Candidate:
@@ -139,7 +172,7 @@ class _Jump:
             np.full(len(places), SIZE_WIDTH**2),
         )
         parts = tuple(
-            self.one(transform, int(place), float(size), 0.0)
+            self.one(transform, [int(place)], float(size), 0.0)
             for place, size in zip(places, terms.mean(), strict=True)
         )
         names = tuple(name for one in parts for name in one.names)

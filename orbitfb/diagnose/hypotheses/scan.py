@@ -97,8 +97,10 @@ def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
         usual = {p.name: p.typical for p in kind.parameters}
         jumps = jumps_of(law, usual, scorer) if kind.sudden else None
         if jumps is not None:
-            names = law.names if isinstance(law, DeviceLaw) else ()
-            return scan_jumps(kind, jumps, names, usual, scorer)
+            if isinstance(law, FieldLaw):
+                return scan_jumps(kind, jumps, (), usual, scorer)
+            groups = tuple(law.groups.values())
+            return scan_jumps(kind, jumps, law.names, usual, scorer, groups)
     if isinstance(law, DeviceLaw):
         if law.periodic:
             return scan_lines(kind, law, scorer)

@@ -168,7 +168,8 @@ def test_a_gradient_that_changes_late_kicks_by_the_orbit_that_stands_in_its_magn
         requested=np.vstack([np.diff(setpoints, axis=0), setpoints[:1] * np.nan]),
         filled=np.zeros_like(readings, dtype=np.bool_),
     )  # fmt: skip
-    found = winner(record, kinds_for(record))
+    kinds = kinds_for(record)
+    (found,), _ = tournament(Workspace.of(record, kinds), kinds)
     assert (found.kind.id, found.names) == (
         "quadrupole-gradient", (ring.names("QUAD")[quadrupole],)
     )  # fmt: skip
@@ -184,6 +185,21 @@ def test_a_reading_that_jumps_is_an_offset_from_that_row_on() -> None:
     found = winner(jumped, kinds_for(jumped))
     assert (found.kind.id, found.places, found.onset) == ("bpm-offset", (6,), 400)
     assert found.values["offset"] == pytest.approx(15 * NOISE, rel=0.25)
+
+
+def test_bpms_of_a_cell_that_jump_by_the_same_are_an_offset_of_the_cell() -> None:
+    """Each jumps by less than shows alone: twice its noise."""
+    record = make_record(18)
+    cells = tuple(f"K{number // 5}" for number in range(BPMS))
+    layout = replace(record.layout, bpms=replace(record.layout.bpms, cells=cells))
+    readings = record.readings.copy()
+    readings[400:, 5:10] += 2.0 * NOISE
+    jumped = replace(record, layout=layout, readings=readings)
+    kinds = kinds_for(jumped)
+    (found,), _ = tournament(Workspace.of(jumped, kinds), kinds)
+    assert (found.kind.id, found.places) == ("bpm-offset", (5, 6, 7, 8, 9))
+    assert found.onset == pytest.approx(400, abs=10)
+    assert found.values["offset"] == pytest.approx(2.0 * NOISE, rel=0.1)
 
 
 def test_a_size_without_a_meaning_is_not_told() -> None:
