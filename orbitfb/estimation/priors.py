@@ -25,8 +25,9 @@ NEIGHBOURS = 3.0
 """BPMs over which the orbit of a place between two correctors is alike, in a ring without places
 [1]. By hand."""
 
-GIRDER = 3.0
-"""Distance over which magnets of one girder move together [m]."""
+GIRDERS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 7.0)
+"""Gaps at which a girder may end [m]: magnets of one stand closer. Each that parts the ring in
+another way is tried. By hand: a factor of 1.5 or so, from magnets side by side to a straight."""
 
 SLAB = 20.0
 """Distance over which neighbouring girders move together, on one slab of concrete [m]."""

@@ -25,10 +25,13 @@ class Shapes:
     Args:
         broad: Covariances of any scale, each (n, n).
         single: Patterns whose amplitudes walk each for itself, shape (n, P).
+        bodies: How many things move each for itself: what a single pattern has of the walk has an
+            exponential prior, whose mean is an even share among so many; zero: no prior.
     """
 
     broad: tuple[Matrix, ...]
     single: Matrix
+    bodies: int = 0
 
     def __len__(self) -> int:
         return len(self.broad) + self.single.shape[1]
@@ -42,6 +45,25 @@ class Shapes:
         for weight, one in zip(weights, self.broad, strict=False):
             found += weight * one
         return found
+
+    def rarity(self, unit: Vector, weights: Vector) -> Vector:
+        """Twice what one more of each weight takes off the log prior, shape (F,).
+
+        Args:
+            unit: Trace of every shape, shape (F,).
+            weights: Of the shapes now, shape (F,).
+        """
+        found = np.zeros(len(self))
+        single = slice(len(self.broad), None)
+        found[single] = 2.0 * self.bodies * unit[single] / float(weights @ unit)
+        return found
+
+    def cost(self, weights: Vector) -> float:
+        """What weights, shape (F,), take off the log prior beyond walking with the ring [nats]."""
+        if not self.bodies or not len(weights):
+            return 0.0
+        share = weights * self.seen(np.eye(len(self.single)))
+        return self.bodies * float(np.sum(share[len(self.broad) :]) / np.sum(share))
 
     def seen(self, weighing: Matrix) -> Vector:
         """Trace of every shape with a weighing matrix, shape (F,)."""
@@ -63,8 +85,9 @@ def fit_shapes(
     """Fit a walk that is a mixture of shapes, and one reading noise per BPM.
 
     The weights w of Q = Σ w_k F_k and the variances of the noise rise and fall by the ratio of what
-    the data pull to what the covariance expects (T. W. Anderson, Ann. Stat. 1 (1973) 135); unlike
-    expectation maximisation this is quick also where a component is small beside the noise.
+    the data pull to what the covariance and the prior expect (T. W. Anderson, Ann. Stat. 1 (1973)
+    135); unlike expectation maximisation this is quick also where a component is small beside the
+    noise.
 
     Args:
         noise: To begin with.
@@ -86,7 +109,7 @@ def fit_shapes(
     for _ in range(rounds):
         noise = noise.improved(shapes.total(weights) + held, reading)
         pull, expected, noisy, usual = weighed_sums(noise, moments)
-        usually = shapes.seen(expected)
+        usually = shapes.seen(expected) + shapes.rarity(unit, weights)
         ratio = np.where(usually > 0.0, shapes.seen(pull) / np.maximum(usually, 1e-300), 0.0)
         most = LARGEST * float(np.sum(weights * unit)) / max(len(shapes), 1)
         weights = weights * np.maximum(ratio, 1e-3) ** _STRIDE

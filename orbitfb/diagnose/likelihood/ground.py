@@ -2,21 +2,26 @@
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.effects.kicks import source_patterns
-from orbitfb.estimation.priors import BODY, GIRDER, NEIGHBOURS, SITE, SLAB
+from orbitfb.estimation.priors import BODY, GIRDERS, NEIGHBOURS, SITE, SLAB
 from orbitfb.estimation.shapes import Shapes
-from orbitfb.estimation.transform import Matrix
+from orbitfb.estimation.transform import Indices, Matrix
+from orbitfb.physics.places import Ring
 from orbitfb.records.layout import Layout
 
 
 def ground_shapes(layout: Layout) -> Shapes:
     """Covariances of orbits that moving magnets make, each of any scale.
 
-    Quadrupoles that move each alone; together over a girder, a slab and the site, for which the
-    ring's places are needed; BPMs that move themselves; and every row of quadrupoles that stand
-    side by side, because nobody tells where girders begin and end, and some lie on worse ground
-    than others. A quadrupole that moves also changes the path length, and at a fixed radio
-    frequency the energy: as far as that goes, so far does the energy of a healthy ring walk.
+    Quadrupoles move each alone, or with their girder, which heaves and tilts, or with the ground of
+    a slab or the site, for which the ring's places are needed; BPMs move themselves. A magnet that
+    moves kicks the beam in proportion to its strength; what else kicks there does not ask for it:
+    both are laid out. Some stand on worse ground than others, and nobody tells where: every row of
+    quadrupoles that stand side by side may have a walk of its own, if that is worth it.
+
+    A quadrupole that moves also changes the path length, and at a fixed radio frequency the energy:
+    as far as that goes, so far does the energy of a healthy ring walk.
     """
     count = len(layout.bpms)
     own = np.eye(count)
@@ -25,26 +30,61 @@ def ground_shapes(layout: Layout) -> Shapes:
         spread = source_patterns(layout)
         bumps = _unit(_bumps(layout))
         return Shapes((_unit(spread @ spread.T), bumps, own), np.zeros((count, 0)))
+    quadrupoles = len(ring.places("QUAD"))
+    moved = [np.eye(quadrupoles), *_together(ring)]
     families: list[Matrix] = []
     rows: list[Matrix] = []
-    place = ring.table.s[ring.places("QUAD")]
-    around = float(ring.parameters.circumference)
-    apart = np.abs(place[:, None] - place)
-    apart = np.minimum(apart, around - apart)
     for plane in layout.planes:
         orbit = layout.orbit_per_kick("QUAD", plane)
         if plane == "x":
             orbit = orbit + _by_energy(layout)
-        families.append(_unit(orbit @ orbit.T))
-        reaches = (GIRDER, SLAB, SITE)
-        families += [_unit(orbit @ np.exp(-apart / reach) @ orbit.T) for reach in reaches]
+        for each in (orbit, orbit * ring.strength("QUAD")):
+            families += [_unit(each @ among @ each.T) for among in moved if np.any(each)]
         body = np.zeros_like(orbit)
         for length in range(BODY):
             body = body + np.roll(orbit, -length, axis=1)
             rows.append(body)
     single = np.hstack(rows)
     norm = np.linalg.norm(single, axis=0)
-    return Shapes((*families, own), single[:, norm > 0.0] / norm[norm > 0.0])
+    single = single[:, norm > 0.0] / norm[norm > 0.0]
+    return Shapes((*families, own), single, quadrupoles * len(layout.planes))
+
+
+def _together(ring: Ring) -> list[Matrix]:
+    """How quadrupoles move with each other, by what they stand on, shape (q, q) each."""
+    place = ring.table.s[ring.places("QUAD")]
+    around = float(ring.parameters.circumference)
+    apart = np.abs(place[:, None] - place)
+    apart = np.minimum(apart, around - apart)
+    found = [np.exp(-apart / reach) for reach in (SLAB, SITE)]
+    known: set[tuple[int, ...]] = set()
+    for gap in GIRDERS:
+        girder, arm = _girders(place, around, gap)
+        if tuple(girder) in known or not 1 < len(set(girder)) < len(place):
+            continue
+        known.add(tuple(girder))
+        same = (girder[:, None] == girder).astype(float)
+        found += [same, np.outer(arm, arm) * same]
+    return found
+
+
+def _girders(place: Vector, around: float, gap: float) -> tuple[Indices, Vector]:
+    """Girders that end where a gap is wider, by quadrupole, and where it stands on its own [m].
+
+    Args:
+        place: Of the quadrupoles, in order, shape (q,) [m].
+        around: Circumference [m].
+        gap: Widest between neighbours on one girder [m].
+    """
+    wide = np.diff(place) > gap
+    girder = np.concatenate([[0], np.cumsum(wide)])
+    along = place.copy()
+    if place[0] + around - place[-1] <= gap:  # one girder stands where the ring begins
+        last = girder == girder[-1]
+        along[last] -= around
+        girder[last] = 0
+    mean = np.bincount(girder, along) / np.bincount(girder)
+    return girder, along - mean[girder]
 
 
 def _bumps(layout: Layout) -> Matrix:

@@ -407,7 +407,8 @@ class Workspace:
         """The same with what its distance from its prior takes off the floor.
 
         Spaces whose floors were estimated each for itself are compared by it: a floor that stands
-        in for what a cause does is far from what ground makes.
+        in for what a cause does is far from what ground makes, or makes much of one place.
         """
-        apart = distance(self.noise.walk, self.shape + self.held)
-        return self.log_likelihood() - 0.5 * self.trust * apart
+        apart = 0.5 * self.trust * distance(self.noise.walk, self.shape + self.held)
+        uneven = 0.0 if self.reference is not None else self.ground.cost(self.weights)
+        return self.log_likelihood() - apart - uneven
