@@ -4,6 +4,7 @@ import os
 import random
 import subprocess
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -33,7 +34,12 @@ def own(out: Path, suite: Suite, seed: int, first: int | None, jobs: int) -> lis
 
 
 def external(
-    path: Path, out: Path, seed: int, first: int | None, jobs: int, names: Path | None
+    path: Path,
+    out: Path,
+    seed: int,
+    first: int | Sequence[int] | None,
+    jobs: int,
+    names: Path | None,
 ) -> list[Case]:
     """Ask an external generator for fresh draws of its cases; those that are there are kept.
 
@@ -44,7 +50,7 @@ def external(
         path: Folder of the package.
         out: Folder for the records; the truth goes beside it.
         seed: Of the cases.
-        first: Only so many, drawn at random; None: all.
+        first: Only so many, drawn at random, or the numbers of some; None: all.
         jobs: Processes.
         names: Table from its words to ids of the library.
 
@@ -71,8 +77,10 @@ def external(
 
     count = int(ask("-c", f"from {package.name} import cases; print(cases.n_cases())"))
     numbers = list(range(count))
-    if first is not None and first < count:
+    if isinstance(first, int) and first < count:
         numbers = sorted(random.Random(seed).sample(numbers, first))
+    elif isinstance(first, Sequence):
+        numbers = list(first)
 
     def make(number: int) -> None:
         name = f"case_{number:03d}"
