@@ -22,7 +22,8 @@ class Candidate:
         kind: The effect.
         places: Devices or places that are struck; empty: the ring, or all of them.
         names: Of the places.
-        values: Of the parameters, SI; of a law with a size per device, that of the largest one.
+        values: Of the parameters, SI; of a law with a size per device, that of the largest one, or
+            their rms if all have it.
         evidence: Log evidence over the healthy record, less the cost of places, values, onsets.
         sizes: Of every place, where each has its own, in units of the linear parameter.
         onset: Row at which it begins; 0: with the record.
@@ -69,6 +70,11 @@ class Candidate:
     after: Workspace | None = None
     again: "Callable[[Workspace], Candidate] | None" = None
     finer: "Callable[[], Candidate] | None" = None
+
+    @property
+    def scattered(self) -> bool:
+        """Whether all devices have it, each of a size of its own: `values` has their rms."""
+        return bool(self.raised) or (not self.places and len(self.sizes) > 1)
 
     @property
     def additive(self) -> bool:

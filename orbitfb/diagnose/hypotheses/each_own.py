@@ -102,7 +102,7 @@ def _every(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> It
         sizes = terms.mean()
         source = Course(law, (), values, sizes)
         courses = source.of(scorer.space.signals, values)
-        scaled = {**values, kind.linear: values[kind.linear] * float(sizes[np.argmax(abs(sizes))])}
+        scaled = {**values, kind.linear: values[kind.linear] * float(np.sqrt(np.mean(sizes**2)))}
         field = field_of(law, scorer, courses, (), sizes).astype(float)
         whole = cost + terms.cost(sizes)
         return Candidate(

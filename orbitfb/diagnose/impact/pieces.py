@@ -76,11 +76,16 @@ def _pieces(
     elif part.parts:
         for one in part.parts:
             yield Piece(one.names, dict(one.values), one.onset)
-    elif len(part.sources) > 1 or differences or any(o.elements or o.own for o in part.sources):
+    elif len(part.sources) > 1 or differences or any(_differ(one) for one in part.sources):
         for number, one in enumerate(part.sources):
             yield from _of_course(part, one, differences.get(number, {}))
     else:
         yield Piece(part.names, dict(part.values), part.onset)
+
+
+def _differ(one: Course) -> bool:
+    """Whether its devices differ in anything."""
+    return bool(one.elements or one.own) or len(np.unique(one.size)) > 1
 
 
 def _of_course(part: Candidate, one: Course, differences: Differences) -> Iterator[Piece]:

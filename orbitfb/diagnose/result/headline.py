@@ -134,7 +134,8 @@ def where_is(cause: Cause, most: int = 4) -> str:
 
 def to_do(cause: Cause) -> str:
     """Say what to do about a cause."""
-    if cause.scatter:
+    kind = all_effects().get(cause.effect)
+    if cause.scatter and not (kind and kind.grows):
         return "All devices have errors: measure the response again, or refit the model."
     return _TO_DO[cause.stage].format(where=where_is(cause))
 

@@ -82,7 +82,7 @@ def cause_of(
         label=_label(one, named, record.layout) if named else "",
         places_within=tuple(_near(one, scores)),
         evidence_nats=one.evidence,
-        scatter=bool(one.parts[0].raised),
+        scatter=one.parts[0].scattered,
         by_place=() if alike else tuple(_piece(piece, record) for piece in pieces),
     )
 

@@ -45,7 +45,7 @@ class Measured:
     def values(
         self, kind: EffectKind, part: Candidate, pieces: tuple[Piece, ...]
     ) -> dict[str, ParameterValue]:
-        """Tell the values of a cause; of the largest device, where each has its own.
+        """Tell the values of a cause; of the largest device, where some have their own.
 
         Args:
             kind: The effect.
@@ -53,7 +53,7 @@ class Measured:
             pieces: Values of its devices; what is left of others is told in later parts.
         """
         spread = self._spread(kind, part)
-        told = _largest(kind, pieces) if not part.raised else dict(part.values)
+        told = dict(part.values) if part.scattered else _largest(kind, pieces)
         record = self.scorer.space.signals.record
         return {
             parameter.name: _told(

@@ -8,6 +8,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of
+from orbitfb.diagnose.hypotheses.jumps import of_jumps
 from orbitfb.diagnose.hypotheses.ranking import any_size, within
 from orbitfb.diagnose.hypotheses.refit import Course, based
 from orbitfb.diagnose.hypotheses.scores import Scorer
@@ -16,8 +17,9 @@ from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
-from orbitfb.estimation.evidence import NormalTerms, given_size
+from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
 from orbitfb.estimation.priors import ONSETS_EVERY, SIZE_WIDTH, STANDING, UNTOLD
+from orbitfb.estimation.transform import Matrix
 
 HOPEFUL = 24
 """Devices whose onsets are looked for at most, those of which most shows."""
@@ -42,6 +44,9 @@ class Begin:
         values: Of the parameters.
         others: Further rows to look at, the best of those that were scanned first: healthy errors
             make a law look much the same from many of them.
+        together: What all devices show, each of a size of its own, from the row from which they
+            show most [nats].
+        about: That row.
     """
 
     evidence: float
@@ -49,6 +54,8 @@ class Begin:
     row: int
     values: Values
     others: tuple[int, ...] = ()
+    together: float = 0.0
+    about: int = 0
 
 
 def exactly(
@@ -176,3 +183,13 @@ def kicking(
 def standing(spectrum: Single) -> Vector:
     """Size that a first kick may have, in the units of a course, (D,) or (1,) of (T, D or 1)."""
     return STANDING * np.sqrt(np.mean(spectrum.astype(np.float64) ** 2, axis=0))
+
+
+def kicks_of(law: DeviceLaw, scorer: Scorer, spectra: Sequence[Single]) -> Matrix:
+    """Log evidence of a first kick of any size of every device at every step, shape (T, D)."""
+    total: Matrix | float = 0.0
+    for pattern, spectrum in zip(law.patterns, spectra, strict=True):
+        pull, own = of_jumps(pattern, scorer)
+        variance = standing(spectrum) ** 2
+        total = total + normal_size(pull, np.broadcast_to(own, pull.shape), variance)
+    return np.asarray(total)

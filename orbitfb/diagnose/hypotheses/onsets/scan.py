@@ -14,13 +14,14 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.jumps import of_jumps
+from orbitfb.diagnose.hypotheses.onsets.every import every_late, shown_together
 from orbitfb.diagnose.hypotheses.onsets.exact import (
     HOPEFUL,
     Begin,
     always,
     exactly,
     kicking,
-    standing,
+    kicks_of,
 )
 from orbitfb.diagnose.hypotheses.ranking import (
     Ranked,
@@ -37,7 +38,6 @@ from orbitfb.diagnose.hypotheses.sets import best_set
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
-from orbitfb.estimation.evidence import normal_size
 from orbitfb.estimation.priors import (
     ONSET_MARGIN,
     ONSET_SIGN,
@@ -68,9 +68,14 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
     found = []
     for values in tried:
         begin = _begins(kind, law, scorer, values)
+        cost = cost_of(kind, values, scorer)
+        if begin is not None and begin.together > cost and kind.linear is not None:
+            about = begin.about
+            finer = partial(every_late, kind, law, scorer, values, about, cost)
+            worth = begin.together - cost
+            found.append(Candidate(kind, (), (), values, worth, onset=about, finer=finer))
         if begin is None or begin.evidence <= 0.0:
             continue
-        cost = cost_of(kind, begin.values, scorer)
         if law.standing:
             found.append(kicking(kind, law, scorer, begin, cost))
         else:
@@ -94,7 +99,7 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     error = scorer.own_error(kind)
     pull, information = scorer.apart(law, values, error)
     shown = sign(pull, information)
-    kicks = _kicks(law, scorer, spectra) if law.standing else None
+    kicks = kicks_of(law, scorer, spectra) if law.standing else None
     if kicks is not None:
         shown = shown + np.maximum(kicks.max(axis=0) - np.log(len(kicks)), 0.0)
     jumps = _jumps(law, scorer, values)
@@ -139,6 +144,7 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     places = hopeful[place : place + 1] if single else sets[place - len(hopeful)]
     cost = np.log(count + len(law.groups)) + np.log(len(onsets))
     row = int(onsets[onset])
+    together = shown_together(np.maximum(gain[:, : len(hopeful)], 0.0))
     at_once = kicks[:, hopeful] if kicks is not None else jumped
     if at_once is not None and single:  # the kick tells the row
         row += int(np.argmax(at_once[row : row + ONSETS_EVERY, place]))
@@ -146,7 +152,11 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     told = tuple(map(int, places)) if single or len(places) < count else ()
     best = np.argsort(-gain[:, place], kind="stable")
     others = tuple(map(int, rows[onsets[best[np.isfinite(gain[best, place])]]]))
-    return Begin(float(gain[onset, place] - cost), told, int(rows[row]), values, others)
+    most = int(np.argmax(together))
+    return Begin(
+        float(gain[onset, place] - cost), told, int(rows[row]), values, others,
+        float(together[most]), int(rows[onsets[most]]),
+    )  # fmt: skip
 
 
 def _jumps(law: DeviceLaw, scorer: Scorer, values: Values) -> tuple[Matrix, Matrix] | None:
@@ -184,16 +194,6 @@ def _jumped(
     within = np.searchsorted(onsets, np.arange(len(jumps[0])), side="right") - 1
     jump, known = (one[:, devices] for one in jumps)
     return any_size(pull[within] + jump, information[within] + known)
-
-
-def _kicks(law: DeviceLaw, scorer: Scorer, spectra: Sequence[Single]) -> Matrix:
-    """Log evidence of a first kick of any size of every device at every step, shape (T, D)."""
-    total: Matrix | float = 0.0
-    for pattern, spectrum in zip(law.patterns, spectra, strict=True):
-        pull, own = of_jumps(pattern, scorer)
-        variance = standing(spectrum) ** 2
-        total = total + normal_size(pull, np.broadcast_to(own, pull.shape), variance)
-    return np.asarray(total)
 
 
 def _from(
