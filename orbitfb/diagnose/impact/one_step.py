@@ -85,7 +85,8 @@ def shrink(step: OneStep, on: str, named: float, rest: float) -> Shrink:
     What is left of the orbit's error is never less than the floor of quiet windows makes it, nor
     than what a free course still finds: that has a share of the energy as of the evidence. The
     values were fitted to a few numbers of hundred thousands, so that the data of the fit tell the
-    same as data that were not used, to a thousandth.
+    same as data that were not used, to a thousandth. Where the causes take nothing off the orbit's
+    error, and the floor is all there is, no gap is resolved.
 
     Args:
         step: Errors of the prediction one row ahead.
@@ -104,8 +105,9 @@ def shrink(step: OneStep, on: str, named: float, rest: float) -> Shrink:
 
     def share(before: Vector, after: Vector) -> tuple[Vector, Vector, Vector]:
         left = np.maximum(after - floor, beside)
-        whole = np.maximum(np.maximum(before - after, 0.0) + left, 1e-300)
-        return 1.0 - np.sqrt(np.minimum(left / whole, 1.0)), whole, left
+        whole = np.maximum(before - after, 0.0) + left
+        kept = np.divide(left, whole, out=np.ones_like(whole), where=whole > 0.0)
+        return 1.0 - np.sqrt(kept), whole, left
 
     drawn = windows.drawn(sums) / windows.drawn(windows.lengths)[:, None]
     um, whole, left = share(usual[:1], usual[1:])
@@ -114,7 +116,7 @@ def shrink(step: OneStep, on: str, named: float, rest: float) -> Shrink:
     return Shrink(
         nats=min(nats, 1.0 - open_share), low=min(least, 1.0 - open_share), high=most,
         um=float(um[0]), um_low=min(low, float(um[0])), um_high=max(high, float(um[0])),
-        held_out_ticks=len(step.nominal), on=on,
+        held_out_ticks=len(step.nominal), on=on, resolved=bool(whole[0] > 0.0),
         before_um=1e6 * float(np.sqrt(whole[0])), after_um=1e6 * float(np.sqrt(left[0])),
     )  # fmt: skip
 
