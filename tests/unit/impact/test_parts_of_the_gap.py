@@ -7,9 +7,10 @@ import pytest
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.diagnose.hypotheses.row_sums import moving_root
+from orbitfb.diagnose.impact import one_step
 from orbitfb.diagnose.impact.closed_loop import law_of, replayed
 from orbitfb.diagnose.impact.innovations import at_bpms, errors_ahead, floor_of, whitened
-from orbitfb.diagnose.impact.one_step import OneStep, shrink
+from orbitfb.diagnose.impact.one_step import OneStep
 from orbitfb.diagnose.impact.windows import Windows, quiet_level
 from orbitfb.diagnose.report.writing import effects_of
 from orbitfb.diagnose.result.diagnosis import Diagnosis
@@ -30,10 +31,11 @@ def test_no_gap_is_resolved_where_the_causes_take_nothing_off_the_error() -> Non
     """It was told to shrink by all of 1e-138 pm."""
     errors = np.random.default_rng(5).standard_normal((300, 8))
     step = OneStep(errors, errors, np.full(8, 1.1 * np.mean(errors**2)), Windows.of(len(errors)))
-    told = shrink(step, "the record itself", 1.0, 0.0)
+    told = one_step.shrink(step, "the record itself", 1.0, 0.0)
     assert not told.resolved
     assert (told.before_um, told.after_um, told.um) == (0.0, 0.0, 0.0)
-    assert shrink(replace(step, nominal=2.0 * errors), "the record itself", 1.0, 0.0).resolved
+    double = replace(step, nominal=2.0 * errors)
+    assert one_step.shrink(double, "the record itself", 1.0, 0.0).resolved
 
 
 def clipped(currents: Matrix) -> Matrix:
