@@ -1,4 +1,4 @@
-"""All devices that change at a row, each by a size of its own."""
+"""Errors of all devices that change at a row, each by a size of its own."""
 
 from collections.abc import Sequence
 
@@ -109,6 +109,8 @@ def _sized(
 ) -> tuple[Vector, float]:
     """Sizes of the most likely scatter, shape (k,), and what they cost [nats].
 
+    Kicks at one row that need no law are not the law's.
+
     Args:
         patterns: Of every block of columns, (n, D) each [m].
         spectra: Transformed steps of their courses, (T, D) each.
@@ -119,14 +121,17 @@ def _sized(
     pull, information = scorer.columns([np.hstack(patterns)], np.hstack(spectra))
     alike = np.equal.outer(np.arange(own.max() + 1), own).astype(float)
     pull, information = alike @ pull, semidefinite(alike @ information @ alike.T)
-    found: list[NormalTerms] = []
-    for width in SCATTERED:
+
+    def of(width: float) -> NormalTerms:
         variance = np.ones(len(pull))  # of kicks, in units of what may stand there
         variance[:devices] = width**2
-        found.append(NormalTerms(pull, information, variance))
-    best = max(found, key=lambda one: one.evidence())
+        return NormalTerms(pull, information, variance)
+
+    best = max(map(of, SCATTERED), key=lambda one: one.evidence())
     sizes = best.mean()
-    return sizes, best.cost(sizes)
+    kicks = of(0.0).evidence()
+    needless = best.evidence() - kicks < SURE
+    return sizes, best.cost(sizes) + (max(kicks, 0.0) if needless else 0.0)
 
 
 def _wide(courses: Matrix | Single, devices: int) -> Single:

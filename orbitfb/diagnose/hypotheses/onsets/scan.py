@@ -69,7 +69,7 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
     for values in tried:
         begin = _begins(kind, law, scorer, values)
         cost = cost_of(kind, values, scorer)
-        if begin is not None and begin.together > cost and kind.linear is not None:
+        if begin is not None and begin.together > cost and scorer.is_usual(kind):
             about = begin.about
             finer = partial(every_late, kind, law, scorer, values, about, cost)
             worth = begin.together - cost
