@@ -143,6 +143,10 @@ ALONE = 0.1
 """Share of its evidence that an effect of few devices finds at most at all others, once these are
 told, if it is no misfit of another law [1]. By hand: a misfit leaves them as much as it has."""
 
+ANYTHING = 1e3
+"""How many times the noise of the readings a device that may do anything moves the orbit [1]: far
+more than a law that is nearly right leaves, and no more than what float32 bears."""
+
 BENT = 1.0
 """Log likelihood by which what errors add together may be off before it is told anew [nats]: far
 below what any decision hangs on."""

@@ -3,26 +3,21 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over, redrawn
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.beside import enough_beside, is_another
 from orbitfb.diagnose.selection.healthy_motion import with_motion
 from orbitfb.diagnose.selection.own_floors import refitted, settled
 from orbitfb.diagnose.selection.undecided import drawn_with, leaders, undecided
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.priors import (
-    ALONE,
     AT_ONCE,
     FINALISTS,
-    FIRST_ORDER,
     HEARD,
-    MISFIT,
-    NEAREST,
     REMAINDER,
     ROUNDS,
     SURE,
@@ -49,44 +44,6 @@ class Round:
         return next((one for one in self.candidates[:1] if one.evidence > enough), None)
 
 
-def enough_beside(told: float, space: Workspace) -> float:
-    """Evidence from which one more candidate is sure [nats].
-
-    Laws that are all a little wrong leave a share of their evidence to others.
-
-    Args:
-        told: Evidence of the causes beside it [nats].
-        space: That it was tried on: its healthy errors are a little wrong, too.
-    """
-    return SURE + MISFIT * told + _misfit(space)
-
-
-def _stands_out(one: Candidate, accepted: Sequence[Candidate], space: Workspace) -> bool:
-    """Whether a candidate that has no more than causes may leave to others is none of it.
-
-    A law that is a little wrong is so at all its devices, and shows at all devices of others. An
-    error that few devices have all the time, and that leaves nothing to the others, is a cause. An
-    event is not: whatever is wrong in one row shows as one at some place.
-
-    Args:
-        one: The best of a round.
-        accepted: Causes.
-        space: That it was tried on.
-    """
-    here = sum(its.evidence for its in accepted if _few(its, space))
-    lasting = (bool(one.sources) or bool(one.columns)) and not one.onset and not one.noisy
-    if not (lasting and _few(one, space)) or one.evidence < enough_beside(here, space):
-        return False
-    best, after = settled(one, space.trusting())
-    rest = candidates_of(after, [one.kind])
-    return not rest or rest[0].evidence < ALONE * best.evidence
-
-
-def _few(one: Candidate, space: Workspace) -> bool:
-    """Whether it is of some devices, at most half as many as there are BPMs."""
-    return 0 < 2 * len(one.places) <= len(space.signals.record.layout.bpms)
-
-
 def _told_again(causes: Sequence[Candidate], space: Workspace) -> tuple[list[Candidate], Workspace]:
     """Accept causes anew on a workspace without them, whose floor they had no part in.
 
@@ -99,21 +56,6 @@ def _told_again(causes: Sequence[Candidate], space: Workspace) -> tuple[list[Can
         best, space = settled(one, space)
         told.append(best)
     return told, space
-
-
-def _misfit(space: Workspace) -> float:
-    """Evidence that other laws may find because healthy errors are told to first order [nats].
-
-    What causes do that are not known yet is in the errors, too, but not in those that a healthy
-    ring has: they count up to twice their limits.
-    """
-    rough = NEAREST if space.signals.record.layout.ring is None else FIRST_ORDER
-    most = np.zeros(len(space.terms))
-    for block in space.blocks:
-        if not block.accepted:
-            most[block.columns] = 2.0 * block.limit
-    sizes = np.clip(space.priors.mean(space.errors.pull), -most, most)
-    return 0.5 * rough**2 * float(sizes @ space.known.information @ sizes)
 
 
 def tournament(
@@ -157,7 +99,7 @@ def tournament(
         for one in candidates[:6]:
             tell("top " + one.describe())
         if not candidates or not (
-            candidates[0].evidence >= enough or _stands_out(candidates[0], accepted, space)
+            candidates[0].evidence >= enough or is_another(candidates[0], accepted, space)
         ):
             return accepted, rounds
         moving = with_motion(space, candidates[0].evidence)

@@ -14,7 +14,7 @@ from orbitfb.diagnose.hypotheses.device_laws import _finer, _Found
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.selection import rounds
+from orbitfb.diagnose.selection import beside
 from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.device_kinds import ActuatorKind
@@ -362,8 +362,8 @@ def test_a_small_error_of_one_device_is_told_beside_a_large_law_of_all(
     assert small.evidence < MISFIT * law.evidence
     for share, alone in ((0.5 * ALONE, True), (5.0 * ALONE, False)):
         rest = [replace(small, evidence=share * small.evidence)]
-        monkeypatch.setattr(rounds, "candidates_of", lambda space, kinds, its=rest: its)
-        assert rounds._stands_out(tried[1].candidates[0], [law], tried[1].space) == alone
+        monkeypatch.setattr(beside, "candidates_of", lambda space, kinds, its=rest: its)
+        assert beside._stands_out(tried[1].candidates[0], [law], tried[1].space) == alone
 
 
 def unlike(state: Vector, row: Vector) -> Vector:

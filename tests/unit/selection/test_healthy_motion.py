@@ -8,8 +8,9 @@ import pytest
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection import rounds
+from orbitfb.diagnose.selection.beside import enough_beside
 from orbitfb.diagnose.selection.healthy_motion import _GLIMPSE, _TURNS, _floor
-from orbitfb.diagnose.selection.rounds import enough_beside, tournament
+from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.registry import effect
 from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.priors import SURE
