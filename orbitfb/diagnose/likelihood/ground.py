@@ -38,8 +38,9 @@ def ground_shapes(layout: Layout) -> Shapes:
         orbit = layout.orbit_per_kick("QUAD", plane)
         if plane == "x":
             orbit = orbit + _by_energy(layout)
-        for each in (orbit, orbit * ring.strength("QUAD")):
-            families += [_unit(each @ among @ each.T) for among in moved if np.any(each)]
+        for each in (orbit, orbit * np.nan_to_num(ring.strength("QUAD"))):
+            found = (each @ among @ each.T for among in moved)
+            families += [_unit(one) for one in found if np.any(one)]
         body = np.zeros_like(orbit)
         for length in range(BODY):
             body = body + np.roll(orbit, -length, axis=1)

@@ -67,6 +67,13 @@ def test_girders_that_heave_and_tilt_are_ground(monkeypatch: pytest.MonkeyPatch)
     assert known > moments.log_density(fitted(first, ground_shapes(LAYOUT))[0]) + 15.0
 
 
+def test_a_ring_whose_strengths_nobody_wrote_down_has_ground() -> None:
+    table = replace(RING.table, strength=np.full(len(RING.table.s), np.nan))
+    shapes = ground_shapes(replace(LAYOUT, ring=replace(RING, table=table)))
+    assert 0 < len(shapes.broad) < len(ground_shapes(LAYOUT).broad)
+    assert all(np.isfinite(one).all() for one in shapes.broad)
+
+
 def test_a_girder_may_stand_where_the_ring_begins() -> None:
     place = np.array([1.0, 2.0, 9.0, 10.0, 19.5])
     girder, arm = ground._girders(place, 20.0, 2.0)
