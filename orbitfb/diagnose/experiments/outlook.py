@@ -98,8 +98,8 @@ def _errors(
         if struck is not None and kind.target not in struck:
             continue
         law = next(one for one in kind.laws(signals) if isinstance(one, DeviceLaw))
-        one = kind.target == "ring"  # an error of the whole, wherever it is struck
-        places = None if struck is None or one else struck[kind.target]
+        of_ring = kind.target == "ring"  # one error, wherever the ring is struck
+        places = None if struck is None or of_ring else struck[kind.target]
         chosen: Indices = np.array(places or range(len(limit)), dtype=np.intp)
         values = {parameter.name: parameter.typical for parameter in kind.parameters}
         for block, course in zip(law.patterns, law.course(values, signals), strict=True):

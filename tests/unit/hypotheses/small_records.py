@@ -1,13 +1,16 @@
 """Small records made here: no ring, a response of random numbers, a closed loop with dither."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
+from orbitfb.effects.build import layout_of
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Ring
 from orbitfb.records.layout import Devices, Layout
 from orbitfb.records.record import Record
 
@@ -68,7 +71,6 @@ def make_record(
         if row + 1 < rows:
             more = dither * rng.standard_normal(CORRECTORS)
             setpoints[row + 1] = setpoints[row] - gain * inverse @ readings[row] + more
-    requested = np.vstack([np.diff(setpoints, axis=0), np.full((1, CORRECTORS), np.nan)])
     layout = Layout(
         Devices(tuple(f"B{i}" for i in range(BPMS)), ("x",) * BPMS, ("",) * BPMS),
         Devices(tuple(f"C{i}" for i in range(CORRECTORS)), ("x",) * CORRECTORS, ("",) * CORRECTORS),
@@ -76,13 +78,34 @@ def make_record(
         0.1,
         None,
     )
-    starts = np.zeros(rows, dtype=np.bool_)
-    starts[0] = True
-    return Record(
-        layout, 0.1 * np.arange(rows), starts, readings, setpoints, requested, None, None, None,
-        np.zeros_like(readings, dtype=np.bool_), {}, "made by a test", "",
-    )  # fmt: skip
+    return recorded(layout, setpoints, readings)
 
 
 def kinds_for(record: Record) -> list[EffectKind]:
     return [kind for kind in all_effects().values() if not kind.unavailable(record)]
+
+
+def every(devices: Devices, step: int) -> Devices:
+    return Devices(devices.names[::step], devices.planes[::step], devices.cells[::step])
+
+
+def some_devices(step: int) -> Layout:
+    """Every so many devices of the default ring, all quadrupoles between them."""
+    whole = layout_of(Ring.load(), "x", 0.1)
+    response = whole.response[::step, ::step]
+    return replace(
+        whole,
+        bpms=every(whole.bpms, step),
+        correctors=every(whole.correctors, step),
+        response=response,
+    )
+
+
+def recorded(layout: Layout, setpoints: Matrix, readings: Matrix) -> Record:
+    requested = np.vstack([np.diff(setpoints, axis=0), np.full_like(setpoints[:1], np.nan)])
+    rows = np.arange(len(readings))
+    return Record(
+        layout, layout.period * rows, rows == 0, readings, setpoints, requested,
+        readback=None, dither=None, reference=None, filled=np.zeros(readings.shape, dtype=np.bool_),
+        auxiliary={}, source="made here", digest="",
+    )  # fmt: skip

@@ -12,8 +12,7 @@ from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.build import layout_of
 from orbitfb.physics.response import response
 from orbitfb.records.record import Record
-from tests.unit.hypotheses.small_records import BPMS, NOISE, kinds_for, make_record
-from tests.unit.hypotheses.test_together import recorded
+from tests.unit.hypotheses.small_records import BPMS, NOISE, kinds_for, make_record, recorded
 
 LATE = 400
 

@@ -18,8 +18,7 @@ from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.shapes import Shapes, fit_shapes
 from orbitfb.estimation.transform import StepTransform
 from orbitfb.physics.optics import Matrix
-from tests.unit.hypotheses.small_records import NOISE, kinds_for
-from tests.unit.hypotheses.test_together import recorded, some_devices
+from tests.unit.hypotheses.small_records import NOISE, kinds_for, recorded, some_devices
 
 LAYOUT = some_devices(4)
 """Every fourth device of the default ring, all 300 quadrupoles between them."""

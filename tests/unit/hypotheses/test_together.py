@@ -12,29 +12,12 @@ from orbitfb.effects.build import layout_of
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.effects.optics.gradients import gradient_scatters, nearest_bpms, response_with
 from orbitfb.effects.registry import effect
-from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Ring
-from orbitfb.records.layout import ChannelPlane, Devices, Layout
+from orbitfb.records.layout import ChannelPlane, Layout
 from orbitfb.records.record import Record
-from tests.unit.hypotheses.small_records import NOISE, kinds_for
+from tests.unit.hypotheses.small_records import NOISE, kinds_for, recorded, some_devices
 
 ROWS = 600
-
-
-def every(devices: Devices, step: int) -> Devices:
-    return Devices(devices.names[::step], devices.planes[::step], devices.cells[::step])
-
-
-def some_devices(step: int) -> Layout:
-    """Every so many devices of the default ring, all quadrupoles between them."""
-    whole = layout_of(Ring.load(), "x", 0.1)
-    response = whole.response[::step, ::step]
-    return replace(
-        whole,
-        bpms=every(whole.bpms, step),
-        correctors=every(whole.correctors, step),
-        response=response,
-    )
 
 
 def make_record(layout: Layout, gradients: Vector, seed: int) -> Record:
@@ -52,16 +35,6 @@ def make_record(layout: Layout, gradients: Vector, seed: int) -> Record:
             more = scale * rng.standard_normal(model.shape[1])
             setpoints[row + 1] = 0.9 * setpoints[row] - 0.3 * inverse @ readings[row] + more
     return recorded(layout, setpoints, readings)
-
-
-def recorded(layout: Layout, setpoints: Matrix, readings: Matrix) -> Record:
-    requested = np.vstack([np.diff(setpoints, axis=0), np.full_like(setpoints[:1], np.nan)])
-    rows = np.arange(len(readings))
-    return Record(
-        layout, layout.period * rows, rows == 0, readings, setpoints, requested,
-        readback=None, dither=None, reference=None, filled=np.zeros(readings.shape, dtype=np.bool_),
-        auxiliary={}, source="made here", digest="",
-    )  # fmt: skip
 
 
 def still(layout: Layout) -> Signals:

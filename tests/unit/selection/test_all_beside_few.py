@@ -9,8 +9,7 @@ from orbitfb.diagnose.selection.beside import enough_beside
 from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.build import layout_of
 from orbitfb.physics.response import response
-from tests.unit.hypotheses.small_records import NOISE, kinds_for
-from tests.unit.hypotheses.test_together import recorded
+from tests.unit.hypotheses.small_records import NOISE, kinds_for, recorded
 
 
 @pytest.mark.parametrize(("scatter", "second"), [(1e-3, True), (1e-4, False)])

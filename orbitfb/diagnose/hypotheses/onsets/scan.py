@@ -70,10 +70,9 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
         begin = _begins(kind, law, scorer, values)
         cost = cost_of(kind, values, scorer)
         if begin is not None and begin.together > cost and scorer.is_usual(kind):
-            about = begin.about
-            finer = partial(every_late, kind, law, scorer, values, about, cost)
-            worth = begin.together - cost
-            found.append(Candidate(kind, (), (), values, worth, onset=about, finer=finer))
+            whole = Candidate(kind, (), (), values, begin.together - cost, onset=begin.about)
+            its = kind, law, scorer, values, begin.about, cost
+            found.append(replace(whole, finer=partial(every_late, *its)))
         if begin is None or begin.evidence <= 0.0:
             continue
         if law.standing:
@@ -144,7 +143,7 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     places = hopeful[place : place + 1] if single else sets[place - len(hopeful)]
     cost = np.log(count + len(law.groups)) + np.log(len(onsets))
     row = int(onsets[onset])
-    together = shown_together(np.maximum(gain[:, : len(hopeful)], 0.0))
+    together = shown_together(gain[:, : len(hopeful)])
     at_once = kicks[:, hopeful] if kicks is not None else jumped
     if at_once is not None and single:  # the kick tells the row
         row += int(np.argmax(at_once[row : row + ONSETS_EVERY, place]))
