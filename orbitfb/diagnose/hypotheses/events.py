@@ -7,6 +7,7 @@ import numpy as np
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.noise_laws import ReadingNoise
+from orbitfb.diagnose.hypotheses.row_sums import Rows
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
@@ -100,7 +101,6 @@ class _Strikes:
             (law.moves, response) if drives else (law.shapes, np.eye(law.shapes.shape[1]))
         )
         ratio = space.noise.ratio
-        following = np.vstack([scorer.rows.late[1:], np.zeros_like(scorer.rows.late[:1])])
         # Mean of λ/(q + λ) over the frequencies, and of its product with cos ω, λ = 2 − 2 cos ω:
         # of a mode that does not walk all is noise, from row to row for itself.
         walks = np.sqrt(ratio / (ratio + 4.0))
@@ -108,9 +108,15 @@ class _Strikes:
         beside = -walks * 0.5 * (ratio + 2.0 - np.sqrt(ratio * (ratio + 4.0)))
         seen = patterns.T @ space.noise.modes
         return cls(
-            moves, patterns, (scorer.rows.late - following) @ patterns, (seen * weight) @ seen.T,
+            moves, patterns, _single_rows(scorer.rows) @ patterns, (seen * weight) @ seen.T,
             (seen * beside) @ seen.T, space.transform.step_rows(),
         )  # fmt: skip
+
+    def less(self, field: Matrix, scorer: Scorer) -> "_Strikes":
+        """The same where a field, shape (T, n) [m], is taken off what is left."""
+        space = scorer.space
+        rows = Rows.of(scorer.left - field, space.noise, space.transform)
+        return replace(self, along=_single_rows(rows) @ self.patterns)
 
     def rows(self, members: Indices) -> tuple[Vector, Vector]:
         """Pull and information of some devices struck at one row alone, shape (T,) each."""
@@ -143,6 +149,11 @@ class _Strikes:
         held = np.roll(before.moves, 1, axis=0)
         held[starts] = 0.0
         return replace(self, moves=self.moves + held)
+
+
+def _single_rows(rows: Rows) -> Matrix:
+    """How what is left pulls at readings of single rows, shape (T, n) [1/m]."""
+    return rows.late - np.vstack([rows.late[1:], np.zeros_like(rows.late[:1])])
 
 
 def _struck(pull: Vector, information: Vector) -> float:
@@ -183,8 +194,6 @@ def _in_runs(
     gains = pull - 0.5 * information
     shares = np.geomspace(min(STRUCK_SHARES), max(STRUCK_SHARES), STRUCK_FINE)
     found = evidence_of_runs(gains, shares)
-    # The same with the opposite sign: what noise of any shape gives to such a chain.
-    chance = evidence_of_runs(-pull - 0.5 * information, shares)
     share = float(shares[np.argmax(found)])
     values = {p.name: p.typical for p in kind.parameters}
     values[kind.parameters[0].name] = share
@@ -193,6 +202,10 @@ def _in_runs(
     for run, one in enumerate(runs, 1):
         if np.any(length == run):
             field += _field(scorer, one.shapes(members), (length == run).astype(float))
+    # The opposite sign, beside those that are found: what noise of any shape gives to such a chain.
+    left = strikes.less(field, scorer)
+    opposite = np.stack([replace(one, along=left.along).rows(members)[0] for one in runs])
+    chance = evidence_of_runs(-opposite - 0.5 * information, shares)
     struck = np.count_nonzero(length)
     cost = -struck * np.log(share) - (len(length) - struck) * np.log1p(-share)
     return values, field, float(cost + max(chance.max(), 0.0))

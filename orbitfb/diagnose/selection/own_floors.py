@@ -93,7 +93,9 @@ def refitted(
         own, after = settled(rivals.candidates[number], space, spread=False)
         less = base + (own.cost or 0.0)
         gain, best = after.log_posterior() - less, max(rivals.good(), default=0.0)
-        for left in reversed(range(HEARD if gain > best / SWALLOWED else 0)):
+        # Both as they were before any floor without a cause was the best: it takes off all alike.
+        near = gain + lost > (best + lost) / SWALLOWED
+        for left in reversed(range(HEARD if near else 0)):
             nearer = after.with_floor()
             step = nearer.log_posterior() - less - gain
             if step < SURE:
@@ -197,7 +199,8 @@ class _Rivals:
             at_it = _beside(one, self.candidates[0]) and one.evidence > 0.5 * self.enough
             more = _by_device(one) or self._begins_with_best(one)
             at_it = at_it or (self.worth[number] > 0.5 * best and more)
-            if at_it or self.worth[number] > (self.enough if one.undone else least):
+            at_it = at_it or (one.undone is not None and one.evidence > self.enough)
+            if at_it or self.worth[number] > least:
                 return int(number)
         return None
 

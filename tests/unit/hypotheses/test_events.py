@@ -1,5 +1,7 @@
 """Rows that are struck, alone and one after the other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,16 @@ from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.own_floors import settled
 from orbitfb.records.record import Record
-from tests.unit.hypotheses.small_records import kinds_for, make_record, remembered
+from tests.unit.hypotheses.small_records import (
+    BPMS,
+    CORRECTORS,
+    NOISE,
+    ROWS,
+    kinds_for,
+    make_record,
+    recorded,
+    remembered,
+)
 
 SHARE = 0.15
 
@@ -46,6 +57,24 @@ def losing_runs(seed: int, held: list[Vector]) -> Record:
     return make_record(12, remembered(step))
 
 
+def losing_a_cell(seed: int) -> Record:
+    """Setpoints of noise, of which three correctors miss some: each change is undone by the next.
+
+    The ground walks as much from row to row as the readings are noisy.
+    """
+    rng, base = np.random.default_rng(seed), make_record(11).layout
+    cells = tuple(f"C{number // 3}" for number in range(CORRECTORS))
+    layout = replace(base, correctors=replace(base.correctors, cells=cells))
+    setpoints = 0.02 * rng.standard_normal((ROWS, CORRECTORS))
+    acting = setpoints.copy()
+    for row in range(1, ROWS):
+        if rng.random() < 0.08:
+            acting[row, 3:6] = acting[row - 1, 3:6]
+    kicks = (1e-3 * rng.standard_normal((ROWS, CORRECTORS))).cumsum(axis=0)
+    noise = 0.1 * NOISE * rng.standard_normal((ROWS, BPMS))
+    return recorded(layout, setpoints, (acting + kicks) @ layout.response.T + noise)
+
+
 def best(record: Record) -> Candidate:
     kinds = [kind for kind in kinds_for(record) if kind.id == "missed-write"]
     return candidates_of(Workspace.of(record, kinds_for(record)), kinds)[0]
@@ -75,3 +104,16 @@ def test_rows_that_are_missed_one_after_the_other_are_all_found() -> None:
     assert one.field is not None
     left = space.transform.spectrum(truth) - one.field
     assert np.sum(left**2) < 0.05 * np.sum(space.transform.spectrum(truth) ** 2)
+
+
+def test_strikes_that_are_found_are_no_chance() -> None:
+    """What noise gives of the other sign is told beside them: a row undoes the one before."""
+    record = losing_a_cell(6)
+
+    one, _ = settled(best(record), Workspace.of(record, kinds_for(record)), spread=False)
+
+    share = one.values["probability"]
+    choice = -ROWS * (share * np.log(share) + (1.0 - share) * np.log1p(-share))
+    assert one.names == ("C1",)
+    assert one.cost is not None
+    assert one.cost < 1.2 * choice
