@@ -92,7 +92,7 @@ def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
         and isinstance(law, DeviceLaw | PairLaw)
         and (law.readings if isinstance(law, PairLaw) else law.undone)
     ):
-        return scan_undone(kind, law, scorer)
+        return list(scan_undone(kind, law, scorer))
     if isinstance(law, DeviceLaw | FieldLaw):
         usual = {p.name: p.typical for p in kind.parameters}
         jumps = jumps_of(law, usual, scorer) if kind.sudden else None

@@ -248,6 +248,8 @@ def _form(one: Candidate) -> tuple[str, str]:
         return (one.kind.id, "all" if one.raised else "some")
     if _by_device(one):
         return (one.kind.id, "some by device" if one.places else "all by device")
+    if one.undone is not None and one.onset:  # each BPM is its own scale, and its last rows tell it
+        return (one.kind.id, "late")
     return (one.kind.id, "told" if one.walk is None else "random")
 
 

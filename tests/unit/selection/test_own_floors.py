@@ -88,20 +88,6 @@ def test_a_law_is_weighed_under_its_own_floor_though_noise_leads() -> None:
     assert best.evidence > told.evidence
 
 
-def test_readings_that_a_runaway_loop_made_large_are_told_under_their_own_floor() -> None:
-    """The floor of all knows them for noise of two BPMs, and needs some turns to leave them."""
-
-    def swapped(orbit: Vector) -> Vector:
-        read = orbit.copy()
-        read[:, [2, 7]] = orbit[:, [7, 2]]
-        return read
-
-    record = make_record(0, sensed=swapped, gain=0.05, rows=300)
-    assert np.sqrt(np.mean(record.readings**2)) > 100.0 * NOISE
-    accepted, _ = rounds.tournament(Workspace.of(record, kinds_for(record)), kinds_for(record))
-    assert [(one.kind.id, one.places) for one in accepted] == [("bpm-swap", (2, 7))]
-
-
 def test_a_line_is_told_until_it_is_settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its second telling, over the first floor without it, is not the last."""
     space, found = scanned(record_with(np.outer(5e-6 * np.sin(0.2 * np.arange(ROWS)), PATTERN), 23))
