@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 
@@ -51,7 +51,12 @@ class ActuatorKind(EffectKind):
 
         def first(values: Values, given: Signals) -> Matrix:
             beginning = given.currents.reshape(1, -1)  # each row of each one for itself
-            lost = self.drive(beginning, values, given.record.rows(0, 1)) - beginning
+            rows, devices = given.currents.shape
+            wide = {
+                name: np.tile(one, rows) for name, one in values.items() if np.size(one) == devices
+            }
+            every = cast(Values, {**values, **wide})
+            lost = self.drive(beginning, every, given.record.rows(0, 1)) - beginning
             return lost.reshape(given.currents.shape)
 
         names = tuple(layout.correctors.label(i) for i in range(len(layout.correctors)))

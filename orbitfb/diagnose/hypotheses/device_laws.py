@@ -13,6 +13,7 @@ from orbitfb.diagnose.hypotheses.ranking import (
     Ranked,
     any_size_at,
     cost_of,
+    running,
     scales,
     within,
     worths_of,
@@ -111,7 +112,7 @@ def _finer(
     def exact(places: tuple[int, ...], values: Values) -> Candidate:
         return evaluated(kind, law, scorer, places, values, 0, top.free, cost)
 
-    best, name = exact(top.places, top.values), _running(grid)
+    best, name = exact(top.places, top.values), running(grid)
     if name is None or best.evidence <= 0.0:
         return best
     line = sorted({one[name] for one in grid})
@@ -160,14 +161,6 @@ def highest(worth: Callable[[float], float], ends: tuple[float, float], fine: fl
 
     found = fminbound(loss, *span, xtol=fine * (span[1] - span[0]), full_output=False)
     return float(back(float(np.asarray(found))))
-
-
-def _running(grid: Sequence[Values]) -> str | None:
-    """The first parameter that differs from value to value of a grid."""
-    for name in grid[0]:
-        if len({one.get(name) for one in grid}) > 1:
-            return name
-    return None
 
 
 def field_of(

@@ -12,6 +12,7 @@ from orbitfb.effects.kinds import EffectKind, OwnValues, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import best_size, given_size, normal_size
 from orbitfb.estimation.priors import (
+    GRID_REACH,
     HOPE,
     ONSET_SIGN,
     RANKED_VALUES,
@@ -32,24 +33,56 @@ class Ranked:
         alone: Log evidence of every device for itself, of the grid and then of `own`, (V, D).
         promising: The values that explain most, by device, by group and by all devices together:
             where some devices are struck, a single one stands for the others with another value.
-        beginning: Those of which most shows of any size: what begins late has part of it.
+        beginning: Those of which most shows of any size, of the grid and of each device's own: what
+            begins late has part of it.
     """
 
     grid: Sequence[Values]
     own: Sequence[OwnValues]
     alone: Matrix
     promising: list[Values]
-    beginning: list[Values]
+    beginning: list[OwnValues]
 
     def values(self, number: int, device: int) -> Values:
         """Values number `number` as device `device` has them."""
         if number < len(self.grid):
             return self.grid[number]
-        own = self.own[number - len(self.grid)]
-        return {
-            name: float(np.broadcast_to(value, self.alone.shape[1])[device])
-            for name, value in own.items()
-        }
+        return of_device(self.own[number - len(self.grid)], device)
+
+    def around(self, values: Values, device: int) -> tuple[str, float, float] | None:
+        """The value that runs over the grid, and the ends between which to search it.
+
+        Args:
+            values: At which the search begins.
+            device: Whose own values count, too.
+
+        Returns:
+            Its name and the ends; None: the grid has one value.
+        """
+        name = running(self.grid)
+        if name is None:
+            return None
+        own = (of_device(one, device) for one in self.own)
+        line = np.unique([values[name], *(one[name] for one in (*self.grid, *own))])
+        place, last = int(np.searchsorted(line, values[name])), len(line) - 1
+        ends = max(place - GRID_REACH, 0), min(place + GRID_REACH, last)
+        return name, float(line[ends[0]]), float(line[ends[1]])
+
+
+def of_device(values: OwnValues, device: int) -> Values:
+    """Values as one device has them."""
+    return {
+        name: float(value if np.ndim(value) == 0 else np.asarray(value)[device])
+        for name, value in values.items()
+    }
+
+
+def running(grid: Sequence[Values]) -> str | None:
+    """The first parameter that differs from value to value of a grid."""
+    for name in grid[0]:
+        if len({one.get(name) for one in grid}) > 1:
+            return name
+    return None
 
 
 def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
@@ -61,7 +94,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
     error = scorer.own_error(kind)
     alone = np.full((len(grid) + len(own), devices), -np.inf)
     together = np.full((len(grid), 2), -np.inf)  # of all devices, and of the best group
-    shown = np.zeros(len(grid))
+    shown = np.zeros(len(grid) + len(own))
     groups = list(law.groups.values())
     for number, values in enumerate((*grid, *own)):
         spectra = scorer.space.courses.spectra(law, values)
@@ -70,6 +103,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
         pull, information = scorer.apart(law, values, error)
         worths = [worth for worth, _ in worths_of(kind)]
         alone[number] = np.max([worth(pull, information) for worth in worths], axis=0)
+        shown[number] = float(sign(pull, information).max())
         if number >= len(grid):
             continue
         seen = [
@@ -80,9 +114,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
         whole = np.array([[one, *parts] for one, parts in seen]).sum(axis=0)
         gain = np.max([worth(total, whole) for worth in worths], axis=0)
         together[number] = gain[0], gain[1:].max(initial=-np.inf)
-        shown[number] = max(
-            float(sign(one, its).max()) for one, its in ((pull, information), (total, whole))
-        )
+        shown[number] = max(shown[number], float(sign(total, whole).max()))
     top = alone[: len(grid)].max(axis=1)
     marks = (top, *together.T)
     best = {int(one) for mark in marks for one in np.argsort(-mark)[:RANKED_VALUES]}
@@ -96,11 +128,11 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
     return Ranked(
         grid, own, alone,
         [grid[number] for number in sorted(best) if hopeful[number]],
-        [grid[number] for number in sorted(late) if shown[number] > ONSET_SIGN],
+        [(*grid, *own)[number] for number in sorted(late) if shown[number] > ONSET_SIGN],
     )  # fmt: skip
 
 
-def stood_in(kind: EffectKind, law: DeviceLaw, values: Values, scorer: Scorer) -> bool:
+def stood_in(kind: EffectKind, law: DeviceLaw, values: OwnValues, scorer: Scorer) -> bool:
     """Whether healthy errors of the devices make what a law does over the whole record.
 
     A corrector that stands still is one of gain −1 as long as it does so: nothing of it shows

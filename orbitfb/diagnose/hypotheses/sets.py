@@ -23,6 +23,9 @@ def best_set(
 ) -> tuple[float, tuple[int, ...]]:
     """Find the set of devices with one common value that has the most evidence.
 
+    Several are struck only where that says more than that the best one of them is: of a device that
+    shows nothing, as one whose current stays below the limit, nothing is told.
+
     Args:
         pull: Of every device, shape (D,).
         information: Of them, shape (D, D).
@@ -37,7 +40,8 @@ def best_set(
     if alone:
         return _one(pull, information, groups, worth)
     every = float(worth(np.array([pull.sum()]), np.array([information.sum()]))[0])
-    best: tuple[float, tuple[int, ...]] = (every, ())
+    most = float(np.max(worth(pull, np.diag(information)), initial=0.0))
+    best: tuple[float, tuple[int, ...]] = (every if every > most + MORE else -np.inf, ())
     units = [list(map(int, members)) for members in groups.values()]
     single = [[device] for device in range(len(pull))]
     for choice in (units, single):
@@ -59,9 +63,9 @@ def _one(
     best: tuple[float, tuple[int, ...]] = (float(own[device]) - cost, (device,))
     for members in groups.values():
         total, along = pull[members].sum(), information[np.ix_(members, members)].sum()
-        found = float(worth(np.array([total]), np.array([along]))[0]) - cost
-        if found > best[0]:
-            best = (found, tuple(int(one) for one in members))
+        found = float(worth(np.array([total]), np.array([along]))[0])
+        if found - cost > best[0] and found > own[members].max() + MORE:
+            best = (found - cost, tuple(int(one) for one in members))
     return best
 
 
@@ -73,6 +77,9 @@ def _grown(
         member[number, list(devices)] = 1.0
     own, shared = member @ pull, member @ information @ member.T
     diagonal, cost = np.diag(shared), np.log(len(units))
+    alone = worth(pull, np.diag(information))
+    several = np.array([len(one) > 1 for one in units])
+    most = np.array([alone[list(one)].max() for one in units])
     chosen: list[int] = []
     total = along = 0.0
     best = -np.inf
@@ -81,6 +88,8 @@ def _grown(
         pulls, informations = total + own, along + 2.0 * beside + diagonal
         gain = worth(pulls, informations) - cost * (len(chosen) + 1)
         gain[chosen] = -np.inf
+        if not chosen:
+            gain[several & (gain + cost < most + MORE)] = -np.inf
         next_one = int(np.argmax(gain))
         if gain[next_one] <= best + (MORE if chosen else 0.0):
             break

@@ -33,6 +33,10 @@ _SOFT = (0.15, (-0.3, 0.0, 0.3))
 _SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
 """Shares of the rows in which a setpoint is below the limits that are scanned."""
 
+_BEYOND = (0.5, 1.0, 3.0, 10.0)
+"""Rows in which it is above further limits, as few rows may show one; between the two largest
+setpoints half a row lies. A change of twice its true size is as likely as none."""
+
 
 class CorrectorSaturation(ActuatorKind):
     """Currents that a limit holds back: clipped, or bent over a rounded corner.
@@ -93,7 +97,8 @@ class CorrectorSaturation(ActuatorKind):
     def own_grid(self, record: Record) -> tuple[OwnValues, ...]:
         """Limits at shares of the sizes that every corrector's setpoint has; soft ones about it."""
         every = np.abs(record.setpoints)
-        sizes = np.quantile(every, _SHARES, axis=0)
+        shares = np.append(_SHARES, 1.0 - np.array(_BEYOND) / (len(every) - 1))
+        sizes = np.quantile(every, np.clip(shares, 0.0, 1.0), axis=0)
         sharp = [{"limit": one, "side": 0.0, "rounding": _SHARP} for one in sizes]
         top, reach = every.max(axis=0), np.maximum(np.ptp(every, axis=0), _SHARP)
         rounding, below = _SOFT

@@ -7,7 +7,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of
+from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of, highest
 from orbitfb.diagnose.hypotheses.jumps import of_jumps
 from orbitfb.diagnose.hypotheses.ranking import any_size, within
 from orbitfb.diagnose.hypotheses.refit import Course, based
@@ -18,7 +18,7 @@ from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
-from orbitfb.estimation.priors import ONSETS_EVERY, SIZE_WIDTH, STANDING, UNTOLD
+from orbitfb.estimation.priors import FINENESS, ONSETS_EVERY, SIZE_WIDTH, STANDING, UNTOLD
 from orbitfb.estimation.transform import Matrix
 
 HOPEFUL = 24
@@ -47,6 +47,7 @@ class Begin:
         together: What all devices show, each of a size of its own, from the row from which they
             show most [nats].
         about: That row.
+        around: Name of a value of theirs that is sought, and the ends between which; None: none is.
     """
 
     evidence: float
@@ -56,6 +57,7 @@ class Begin:
     others: tuple[int, ...] = ()
     together: float = 0.0
     about: int = 0
+    around: tuple[str, float, float] | None = None
 
 
 def exactly(
@@ -68,25 +70,17 @@ def exactly(
     estimated with it.
     """
     places, values = begin.places, begin.values
-    devices = (places or tuple(range(len(law.names))))[:HOPEFUL]
-    worth, last = any_size if free else given_size, scorer.space.transform.rows - 2
-    best = (-np.inf, begin.row, False)
-    tried = (begin.row, *begin.others)[: _COLUMNS // len(devices)]
-    for _ in range(2):
-        likely = False
-        for kick in (False, True) if law.first is None else (False,):
-            pull, information = _by_row(law, scorer, values, devices, tried, kick)
-            gain = worth(pull, information)
-            place = int(np.argmax(gain))
-            best = max(best, (float(gain[place]), tried[place], kick))
-            likely = likely or free or bool(np.any(pull > _LIKELY * information))
-        if not likely:
-            break
-        near = range(best[1] - 2 * ONSETS_EVERY, best[1] + 2 * ONSETS_EVERY)
-        tried = tuple(one for one in near if 0 < one < last)
-    _, row, kick = best
+    row, kick, likely = _best_row(law, scorer, begin, free)
+    if begin.around is not None and not free and likely:
+        name, *ends = begin.around
 
-    known = replace(begin, row=row, others=(begin.row, *begin.others))
+        def near(value: float) -> float:
+            its = kind, law, scorer, places, {**values, name: value}, row, free, cost, kick
+            return evaluated(*its).evidence
+
+        values = {**values, name: highest(near, (ends[0], ends[1]), FINENESS)}
+        row, kick, _ = _best_row(law, scorer, replace(begin, values=values, row=row), free)
+    known = replace(begin, row=row, values=values, others=(begin.row, *begin.others))
 
     def again(after: Workspace) -> Candidate:
         return exactly(kind, law, Scorer.of(over(scorer.space, after)), known, cost, free)
@@ -97,6 +91,36 @@ def exactly(
         kicked = kicking(kind, law, scorer, replace(begin, row=row), cost)
         found = max(found, kicked, key=lambda one: one.evidence)
     return replace(found, again=again)
+
+
+def _best_row(law: DeviceLaw, scorer: Scorer, begin: Begin, free: bool) -> tuple[int, bool, bool]:
+    """The row at which devices begin, whether what they have reached comes at once, and if likely.
+
+    Args:
+        law: Of them.
+        scorer: Of what is left to explain.
+        begin: The devices, and rows to look at.
+        free: Whether they may have any size.
+    """
+    devices = (begin.places or tuple(range(len(law.names))))[:HOPEFUL]
+    worth, last = any_size if free else given_size, scorer.space.transform.rows - 2
+    best = (-np.inf, begin.row, False)
+    tried = (begin.row, *begin.others)[: _COLUMNS // len(devices)]
+    likely = False
+    for _ in range(2):
+        shown = False
+        for kick in (False, True) if law.first is None else (False,):
+            pull, information = _by_row(law, scorer, begin.values, devices, tried, kick)
+            gain = worth(pull, information)
+            place = int(np.argmax(gain))
+            best = max(best, (float(gain[place]), tried[place], kick))
+            shown = shown or free or bool(np.any(pull > _LIKELY * information))
+        likely = likely or shown
+        if not shown:
+            break
+        near = range(best[1] - 2 * ONSETS_EVERY, best[1] + 2 * ONSETS_EVERY)
+        tried = tuple(one for one in near if 0 < one < last)
+    return best[1], best[2], likely
 
 
 def always(

@@ -8,6 +8,7 @@ whose course is a constant are in `jumps`.
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from orbitfb.diagnose.hypotheses.ranking import (
     Ranked,
     any_size,
     cost_of,
+    of_device,
     scales,
     sign,
     stood_in,
@@ -36,7 +38,7 @@ from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import best_set
 from orbitfb.diagnose.likelihood.terms import Single
-from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.kinds import EffectKind, OwnValues, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.priors import (
     ONSET_MARGIN,
@@ -62,19 +64,23 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
         return []
     # Where nothing shows over the whole record a first kick may still tell, or the change of what
     # the healthy error of the same devices stands in for.
-    tried = rank.beginning
+    tried: Sequence[OwnValues] = rank.beginning
     if not tried and (law.standing or (kind.linear is not None and scorer.is_usual(kind))):
         tried = list(rank.grid[:1])
     found = []
     for values in tried:
         begin = _begins(kind, law, scorer, values)
-        cost = cost_of(kind, values, scorer)
-        if begin is not None and begin.together > cost and scorer.is_usual(kind):
-            whole = Candidate(kind, (), (), values, begin.together - cost, onset=begin.about)
-            its = kind, law, scorer, values, begin.about, cost
-            found.append(replace(whole, finer=partial(every_late, *its)))
-        if begin is None or begin.evidence <= 0.0:
+        if begin is None:
             continue
+        cost = cost_of(kind, begin.values, scorer)
+        if begin.together > cost and scorer.is_usual(kind):
+            whole = Candidate(kind, (), (), begin.values, begin.together - cost, onset=begin.about)
+            its = kind, law, scorer, begin.values, begin.about, cost
+            found.append(replace(whole, finer=partial(every_late, *its)))
+        if begin.evidence <= 0.0:
+            continue
+        if len(begin.places) == 1:
+            begin = replace(begin, around=rank.around(begin.values, begin.places[0]))
         if law.standing:
             found.append(kicking(kind, law, scorer, begin, cost))
         else:
@@ -82,14 +88,14 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
     return found
 
 
-def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) -> Begin | None:
+def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: OwnValues) -> Begin | None:
     """The best device, or group, that begins late; None: nothing is as if one did.
 
     Args:
         kind: The effect.
         law: Of its devices.
         scorer: Of what is left to explain.
-        values: Of the parameters.
+        values: Of the parameters; where they are of every device's own no group has them.
     """
     spectra = scorer.space.courses.spectra(law, values)
     if not any(np.any(one) for one in spectra):
@@ -106,7 +112,8 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
         shown = np.maximum(shown, sign(*jumps).max(axis=0) - np.log(len(jumps[0])))
     usual = scorer.is_usual(kind)
     usual = usual or (not scales(kind) and stood_in(kind, law, values, scorer))
-    sets = _hopeful_sets(law, scorer, pull, spectra, every=usual)
+    one_each = any(np.ndim(value) for value in values.values())
+    sets = [] if one_each else _hopeful_sets(law, scorer, pull, spectra, every=usual)
     if usual:
         hopeful = np.arange(count)
     else:
@@ -153,19 +160,20 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     others = tuple(map(int, rows[onsets[best[np.isfinite(gain[best, place])]]]))
     most = int(np.argmax(together))
     return Begin(
-        float(gain[onset, place] - cost), told, int(rows[row]), values, others,
-        float(together[most]), int(rows[onsets[most]]),
+        float(gain[onset, place] - cost), told, int(rows[row]), of_device(values, int(places[0])),
+        others, float(together[most]), int(rows[onsets[most]]),
     )  # fmt: skip
 
 
-def _jumps(law: DeviceLaw, scorer: Scorer, values: Values) -> tuple[Matrix, Matrix] | None:
+def _jumps(law: DeviceLaw, scorer: Scorer, values: OwnValues) -> tuple[Matrix, Matrix] | None:
     """Pull and information of what each device adds at once, if it begins at a step, (T, D).
 
     None of a law that does not know it.
     """
     if law.first is None:
         return None
-    reached = law.first(values, scorer.space.signals)[scorer.space.transform.step_rows()]
+    reached = law.first(cast(Values, values), scorer.space.signals)
+    reached = reached[scorer.space.transform.step_rows()]
     pull: Matrix | float = 0.0
     information: Matrix | float = 0.0
     for pattern in law.patterns:

@@ -1,0 +1,63 @@
+"""Limits of single correctors, each of which has a range of setpoints of its own."""
+
+import numpy as np
+import pytest
+
+from orbitfb.diagnose.hypotheses.sets import best_set
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.rounds import tournament
+from orbitfb.estimation.evidence import given_size
+from orbitfb.records.record import Record
+from tests.unit.hypotheses.small_records import (
+    BPMS,
+    CORRECTORS,
+    NOISE,
+    ROWS,
+    kinds_for,
+    make_record,
+    recorded,
+)
+
+LIMITED = 5
+
+
+def limited(rows: int, onset: int, seed: int) -> tuple[Record, float]:
+    """Setpoints about a mean of every corrector's own; a limit that one passes in some rows.
+
+    Args:
+        rows: How many of those from the onset on are beyond it.
+        onset: Row from which there is a limit.
+        seed: Of all.
+    """
+    rng, layout = np.random.default_rng(seed), make_record(11).layout
+    means = rng.uniform(0.5, 5.0, CORRECTORS)
+    setpoints = means + 0.1 * rng.standard_normal((ROWS, CORRECTORS))
+    largest = np.sort(setpoints[onset:, LIMITED])[::-1]
+    limit = 0.5 * (largest[rows - 1] + largest[rows])
+    acting = setpoints.copy()
+    acting[onset:, LIMITED] = np.minimum(acting[onset:, LIMITED], limit)
+    kicks = (1e-3 * rng.standard_normal((ROWS, CORRECTORS))).cumsum(axis=0)
+    noise = 0.1 * NOISE * rng.standard_normal((ROWS, BPMS))
+    return recorded(layout, setpoints, (acting + kicks) @ layout.response.T + noise), float(limit)
+
+
+@pytest.mark.parametrize(("rows", "onset"), [(1, 0), (3, 0), (60, 400)])
+def test_a_limit_is_told_though_few_rows_show_it_or_it_begins_late(rows: int, onset: int) -> None:
+    record, limit = limited(rows, onset, 6)
+    kinds = kinds_for(record)
+
+    accepted, _ = tournament(Workspace.of(record, kinds), kinds)
+
+    found = [(one.kind.id, one.places) for one in accepted]
+    assert found == [("corrector-saturation", (LIMITED,))]
+    assert accepted[0].values["limit"] == pytest.approx(limit, abs=0.03)
+    assert bool(accepted[0].onset) == bool(onset)
+
+
+def test_a_group_of_which_one_shows_anything_is_that_one() -> None:
+    """Correctors whose currents stay below a limit say nothing of it."""
+    pull, information = np.array([0.0, 90.0, 0.0, 0.0]), np.diag([0.0, 80.0, 0.0, 0.0])
+    groups = {"A": np.array([0, 1]), "B": np.array([2, 3])}
+    assert best_set(pull, information, groups, given_size)[1] == (1,)
+    pull[0], information[[0, 2, 3], [0, 2, 3]] = 60.0, 70.0
+    assert best_set(pull, information, groups, given_size)[1] == (0, 1)
