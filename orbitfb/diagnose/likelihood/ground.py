@@ -21,7 +21,8 @@ def ground_shapes(layout: Layout) -> Shapes:
     quadrupoles that stand side by side may have a walk of its own, if that is worth it.
 
     A quadrupole that moves also changes the path length, and at a fixed radio frequency the energy:
-    as far as that goes, so far does the energy of a healthy ring walk.
+    as far as that goes where each moves alone, so far does the energy of a healthy ring walk. Where
+    the whole ring breathes the energy wanders, which is an effect and no shape of the ground.
     """
     count = len(layout.bpms)
     own = np.eye(count)
@@ -31,15 +32,15 @@ def ground_shapes(layout: Layout) -> Shapes:
         bumps = _unit(_bumps(layout))
         return Shapes((_unit(spread @ spread.T), bumps, own), np.zeros((count, 0)))
     quadrupoles = len(ring.places("QUAD"))
-    moved = [np.eye(quadrupoles), *_together(ring)]
+    moved = _together(ring)
     families: list[Matrix] = []
     rows: list[Matrix] = []
     for plane in layout.planes:
         orbit = layout.orbit_per_kick("QUAD", plane)
-        if plane == "x":
-            orbit = orbit + _by_energy(layout)
-        for each in (orbit, orbit * np.nan_to_num(ring.strength("QUAD"))):
-            found = (each @ among @ each.T for among in moved)
+        alone = orbit + _by_energy(layout) if plane == "x" else orbit
+        for size in (1.0, np.nan_to_num(ring.strength("QUAD"))):
+            each, all_at_once = alone * size, orbit * size
+            found = [each @ each.T, *(all_at_once @ among @ all_at_once.T for among in moved)]
             families += [_unit(one) for one in found if np.any(one)]
         body = np.zeros_like(orbit)
         for length in range(BODY):
@@ -52,12 +53,16 @@ def ground_shapes(layout: Layout) -> Shapes:
 
 
 def _together(ring: Ring) -> list[Matrix]:
-    """How quadrupoles move with each other, by what they stand on, shape (q, q) each."""
+    """How quadrupoles move with each other, by what they stand on, shape (q, q) each.
+
+    Of slab and site without what all have in common.
+    """
     place = ring.table.s[ring.places("QUAD")]
     around = float(ring.parameters.circumference)
     apart = np.abs(place[:, None] - place)
     apart = np.minimum(apart, around - apart)
-    found = [np.exp(-apart / reach) for reach in (SLAB, SITE)]
+    apart_from_all = np.eye(len(place)) - 1.0 / len(place)
+    found = [apart_from_all @ np.exp(-apart / one) @ apart_from_all for one in (SLAB, SITE)]
     known: set[tuple[int, ...]] = set()
     for gap in GIRDERS:
         girder, arm = _girders(place, around, gap)

@@ -80,8 +80,21 @@ def test_a_girder_may_stand_where_the_ring_begins() -> None:
     assert arm == pytest.approx([1.0 / 6.0, 7.0 / 6.0, -0.5, 0.5, -4.0 / 3.0])
 
 
+def test_an_energy_that_wanders_is_no_ground() -> None:
+    """A ring whose ground breathes would do the same, and that is the effect."""
+    rng = np.random.default_rng(8)
+    readings = read(1e-9 * rng.standard_normal((ROWS, ORBIT.shape[1])) * RING.strength("QUAD"), rng)
+    energy = 3e-8 * rng.standard_normal(ROWS).cumsum()
+    readings += np.outer(energy, LAYOUT.dispersion())
+    record = recorded(LAYOUT, np.zeros((ROWS, LAYOUT.response.shape[1])), readings)
+    kinds = kinds_for(record)
+    accepted, _ = tournament(Workspace.of(record, kinds), kinds)
+    assert [one.kind.id for one in accepted] == ["energy-drift"]
+    assert accepted[0].values["step"] == pytest.approx(3e-8, rel=0.2)
+
+
 def test_a_place_that_walks_as_all_others_do_has_no_walk_of_its_own() -> None:
-    """Without a prior chance gives a sixth of the walk to single places."""
+    """Without a prior chance gives a tenth of the walk to single places."""
     rng = np.random.default_rng(4)
     readings = read(4e-9 * rng.standard_normal((ROWS, ORBIT.shape[1])), rng)
     shapes = ground_shapes(LAYOUT)
@@ -91,7 +104,7 @@ def test_a_place_that_walks_as_all_others_do_has_no_walk_of_its_own() -> None:
         return float(np.sum(share[len(shapes.broad) :]) / np.sum(share))
 
     assert alone(shapes) < 0.1
-    assert alone(replace(shapes, bodies=0)) > 3.0 * alone(shapes)
+    assert alone(replace(shapes, bodies=0)) > 2.0 * alone(shapes)
 
 
 @pytest.mark.parametrize("uneven", ["all", "one"])
