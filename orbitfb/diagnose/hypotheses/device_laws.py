@@ -1,11 +1,10 @@
 """Scan a law of devices over its values and its devices."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.optimize import fminbound
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
@@ -18,9 +17,10 @@ from orbitfb.diagnose.hypotheses.ranking import (
     within,
     worths_of,
 )
-from orbitfb.diagnose.hypotheses.refit import Course
+from orbitfb.diagnose.hypotheses.refit import Course, highest
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import best_set
+from orbitfb.diagnose.hypotheses.undone import bent
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
@@ -145,24 +145,6 @@ def _around(line: Sequence[float], place: int) -> tuple[float, float]:
     return line[max(place - GRID_REACH, 0)], line[min(place + GRID_REACH, len(line) - 1)]
 
 
-def highest(worth: Callable[[float], float], ends: tuple[float, float], fine: float) -> float:
-    """Where a function is highest between two values, along their logarithm if they have one.
-
-    Args:
-        worth: The function.
-        ends: Between them.
-        fine: To which share of their distance.
-    """
-    bend, back = (np.log, np.exp) if ends[0] > 0.0 else (np.asarray, np.asarray)
-    span = float(bend(ends[0])), float(bend(ends[1]))
-
-    def loss(bent: float) -> float:
-        return -worth(float(back(bent)))
-
-    found = fminbound(loss, *span, xtol=fine * (span[1] - span[0]), full_output=False)
-    return float(back(float(np.asarray(found))))
-
-
 def field_of(
     law: DeviceLaw,
     scorer: Scorer,
@@ -213,22 +195,25 @@ def evaluated(
     courses = source.of(scorer.space.signals, values)
     field = field_of(law, scorer, courses, places, source.size)
     pull, information = scorer.evaluate([field])
-    size = 1.0
+    size, paid = 1.0, cost + choices(law, places)
+    if onset:
+        paid += float(np.log(scorer.space.transform.rows))
     if free:
         size = within(kind, values, float(best_size(pull, information[0], SIZE_WIDTH**2)[0]))
-        gain = any_size_at(pull, information[0], size)
+        gain, field = any_size_at(pull, information[0], size), size * field
+        worth = float(pull[0] * size - 0.5 * information[0, 0] * size**2)
+        paid += worth - gain
+        if law.undone is not None and len(places) == 1 and gain > 0.0:
+            size, worth, field = bent(kind, law, scorer, source, size, worth, field)
     else:
-        gain = float(given_size(pull, information[0])[0])
-    gain -= cost + choices(law, places)
-    if onset:
-        gain -= np.log(scorer.space.transform.rows)
+        worth = float(given_size(pull, information[0])[0])
     scaled = {**values}
     for parameter in kind.sizes:
         scaled[parameter.name] = size * values[parameter.name]
     names = tuple(law.names[place] for place in places)
     return Candidate(
-        kind, places, names, scaled, gain, onset=onset, field=(size * field).astype(float),
-        sources=(replace(source, size=size * source.size),),
+        kind, places, names, scaled, worth - paid, onset=onset, field=field.astype(float),
+        sources=(replace(source, size=size * source.size),), cost=paid,
     )  # fmt: skip
 
 

@@ -7,11 +7,12 @@ columns join the healthy errors: the scatter of δ is a variance component of it
 is tried later is weighed with all δ marginalised (a joint refit).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
+from scipy.optimize import fminbound
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.scores import Scorer
@@ -177,3 +178,21 @@ def step_of(sources: Sequence[Course], name: str, scorer: Scorer) -> tuple[Vecto
     step = np.linalg.solve(inner, left)
     step *= OWN_REACH / max(OWN_REACH, float(np.max(np.abs(step))))
     return step, float(step @ left - 0.5 * step @ inner @ step)
+
+
+def highest(worth: Callable[[float], float], ends: tuple[float, float], fine: float) -> float:
+    """Where a function is highest between two values, along their logarithm if they have one.
+
+    Args:
+        worth: The function.
+        ends: Between them.
+        fine: To which share of their distance.
+    """
+    bend, back = (np.log, np.exp) if ends[0] > 0.0 else (np.asarray, np.asarray)
+    span = float(bend(ends[0])), float(bend(ends[1]))
+
+    def loss(bent: float) -> float:
+        return -worth(float(back(bent)))
+
+    found = fminbound(loss, *span, xtol=fine * (span[1] - span[0]), full_output=False)
+    return float(back(float(np.asarray(found))))

@@ -26,12 +26,14 @@ class Scorer(Weighed):
         nearby: Errors of the devices of a kind, by the kind.
         usual: The healthy error of each of them, by the kind.
         late: What is left from row to row, once it was asked for.
+        others: How what the errors of other devices leave pulls, by the kind of these.
     """
 
     kept: dict[int, Seen] = field(default_factory=dict, init=False)
     nearby: dict[str, Beside | None] = field(default_factory=dict, init=False)
     usual: dict[str, OwnError | None] = field(default_factory=dict, init=False)
     late: list[Rows] = field(default_factory=list, init=False)
+    others: dict[str, Matrix] = field(default_factory=dict, init=False)
 
     @property
     def rows(self) -> Rows:
@@ -39,6 +41,22 @@ class Scorer(Weighed):
         if not self.late:
             self.late.append(Rows.of(self.left, self.space.noise, self.space.transform))
         return self.late[0]
+
+    def beside_others(self, target: str) -> Matrix:
+        """Ω z of what healthy errors of other devices leave, shape (T, n) [1/m]; kept.
+
+        Args:
+            target: Devices whose own errors are left in.
+        """
+        if target not in self.others:
+            space = self.space
+            sizes = self.priors.mean(self.errors.pull)
+            for block in space.blocks:
+                if block.of_devices(target):
+                    sizes[block.columns] = 0.0
+            left = space.residual - space.terms.contribution(sizes)
+            self.others[target] = space.noise.pull(left, space.transform)
+        return self.others[target]
 
     def seen(self, patterns: Matrix) -> Seen:
         """What patterns see of the residual; kept, as many values of a law share their patterns."""

@@ -1,26 +1,38 @@
-"""Readings that are undone without a choice: exchanged, or of the other sign.
+"""Readings that are undone: exchanged, or of the other sign, or bent so much that it counts.
 
 What they do is as large as the orbit itself. A floor that was estimated with them takes most of it
 for a wandering of these BPMs and expects it, so that a scan over that floor finds them hardly. So
 each BPM is its own scale in every band: T frequencies whose mean square falls from v to v' when the
 readings are undone are worth −T/2 ln(v'/v) [nats]. For those that change in the middle of a record
 it is its own scale from step to step. A floor of their own will say about the same
-(`own_floors.refitted`).
+(`own_floors.refitted`). Where a law takes a large part of the readings, its size is told so, too.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.ranking import within
+from orbitfb.diagnose.hypotheses.refit import Course, highest
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.laws import DeviceLaw, PairLaw
-from orbitfb.estimation.priors import ONSET_MARGIN, ONSETS_EVERY, VALUE_COST
+from orbitfb.effects.laws import DeviceLaw, PairLaw, Signals
+from orbitfb.estimation.priors import (
+    FINENESS,
+    MORE,
+    ONSET_MARGIN,
+    ONSETS_EVERY,
+    VALUE_COST,
+)
 from orbitfb.estimation.transform import Indices, Matrix
+
+_REACH = (0.25, 2.0)
+"""Share of the size that follows in a straight line between which a bent one is sought [1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,3 +181,55 @@ def _worth(own: Vector, grown: Matrix, columns: Indices, count: int) -> Vector:
     before = own[columns]
     after = np.maximum(before + grown, 1e-300)
     return -0.5 * count * np.sum(np.log(after / np.maximum(before, 1e-300)), axis=1)
+
+
+def bent(
+    kind: EffectKind,
+    law: DeviceLaw,
+    scorer: Scorer,
+    source: Course,
+    size: float,
+    worth: float,
+    field: Single,
+) -> tuple[float, float, Single]:
+    """Size, log likelihood and field of a BPM that is undone, if its readings bend with the size.
+
+    A course is told of the orbit as it is read, in which the law is already: a curve that takes a
+    quarter off a reading looks as if it took a third.
+
+    Args:
+        kind: The effect.
+        law: Of BPMs, which is undone in their readings.
+        scorer: Of what is left to explain.
+        source: The BPM, with a size of one.
+        size: That it has if what it reads follows the size.
+        worth: Log likelihood of it over none.
+        field: What it adds with it, shape (T, n) [m].
+    """
+    signals, transform, chosen = scorer.space.signals, scorer.space.transform, list(source.places)
+    inside = ~signals.record.starts
+    heard = replace(signals, record=replace(signals.record, readings=signals.orbit))
+    own = (scorer.weights @ (scorer.modes[chosen] ** 2).T)[:, 0]
+    left = scorer.beside_others(kind.target)[:, chosen[0]] / own
+
+    def taken_off(size: float, given: Signals) -> tuple[Matrix, float]:
+        its = replace(source, size=size * source.size)
+        ((_, change, widened),) = its.undone(kind, given)
+        return change, float(np.sum(widened[inside]))
+
+    def density(rest: Vector) -> float:
+        return -0.5 * len(rest) * float(np.log(np.mean(rest**2 * own)))
+
+    def undone(size: float) -> float:
+        change, widened = taken_off(size, signals)
+        return widened + density(left - transform.quick_spectrum(change)[:, 0])
+
+    if abs(undone(size) - density(left) - worth) < MORE:
+        return size, worth, field
+    share = highest(lambda share: undone(share * size), _REACH, FINENESS)
+    best = within(kind, source.values, share * size)
+    told = np.zeros_like(field)
+    told[:, chosen] = transform.quick_spectrum(taken_off(best, heard)[0])
+    # At least: beside errors that stand in for it, and by what the predicted orbit shows of it.
+    least = undone(best) - density(scorer.pulled[:, chosen[0]] / own)
+    return best, max(least, scorer.likelihood(told)), told

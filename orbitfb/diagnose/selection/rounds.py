@@ -181,10 +181,15 @@ def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:
     wanders with the orbit: its noise, or what it reads, is not odd besides. And of a BPM whose
     noise is told to remember no law of its readings is: a feedback that acts on them makes the beam
     follow that noise, which looks like a law, and no floor has such a noise. One law is enough for
-    the noise of a BPM: no floor has it, so that others would be as true.
+    the noise of a BPM: no floor has it, so that others would be as true. Readings are undone as
+    they were read, so once only.
     """
     if one.kind.target != "bpm":
         return False
+    if one.undone is not None and any(
+        its.kind.target == "bpm" and set(its.places) & set(one.places) for its in accepted
+    ):
+        return True
     if one.places and set(one.names) <= _coloured(accepted):
         return True
     if not (one.noisy or one.courseless):

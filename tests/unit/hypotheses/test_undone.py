@@ -1,11 +1,16 @@
-"""BPMs that are exchanged, or of the other sign, in loops that run away by it."""
+"""Readings that are undone: exchanged, of the other sign, bent."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
+from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.selection.rounds import tournament
+from orbitfb.diagnose.selection.rounds import _echo, tournament
+from orbitfb.effects.registry import effect
 from orbitfb.physics.optics import Matrix
-from tests.unit.hypotheses.small_records import Bent, kinds_for, make_record
+from tests.unit.hypotheses.small_records import NOISE, Bent, kinds_for, make_record, recorded
 
 ROWS = 300
 
@@ -46,3 +51,31 @@ def test_one_cause_is_told_from_its_row_on(
     accepted, _ = tournament(Workspace.of(record, kinds), kinds)
 
     assert [(one.kind.id, one.places, one.onset) for one in accepted] == [(kind, places, onset)]
+
+
+def test_the_size_of_a_curve_is_that_which_undoes_it() -> None:
+    """The orbit that is read is bent already: told along it, a quarter would be two fifths."""
+    rng, layout = np.random.default_rng(7), make_record(11).layout
+    setpoints = 0.3 * rng.standard_normal((ROWS, layout.response.shape[1]))
+    kicks = (1e-3 * rng.standard_normal(setpoints.shape)).cumsum(axis=0)
+    orbit = 60e-6 + (setpoints + kicks) @ layout.response.T
+    bent = orbit.copy()
+    bent[:, 7] -= 4000.0 * orbit[:, 7] ** 2
+    record = recorded(layout, setpoints, bent + NOISE * rng.standard_normal(orbit.shape))
+    kinds = kinds_for(record)
+
+    accepted, _ = tournament(Workspace.of(record, kinds), kinds)
+
+    assert [(one.kind.id, one.places) for one in accepted] == [("bpm-nonlinearity", (7,))]
+    assert accepted[0].values["quadratic"] == pytest.approx(-4000.0, rel=0.03)
+
+
+def test_readings_are_undone_once() -> None:
+    """They are undone as they were read: what a law took off before would be there again."""
+    polarity = Candidate(
+        effect("bpm-polarity"), (7,), ("B7 (x)",), {}, 900.0,
+        undone=lambda space: (np.zeros_like(space.residual), 0.0),
+    )  # fmt: skip
+    curve = Candidate(effect("bpm-nonlinearity"), (7,), ("B7 (x)",), {"quadratic": 1.0}, 2000.0)
+    assert _echo(polarity, [curve])
+    assert not _echo(polarity, [replace(curve, places=(6,))])

@@ -7,10 +7,10 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of, highest
+from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of
 from orbitfb.diagnose.hypotheses.jumps import of_jumps
 from orbitfb.diagnose.hypotheses.ranking import any_size, within
-from orbitfb.diagnose.hypotheses.refit import Course, based
+from orbitfb.diagnose.hypotheses.refit import Course, based, highest
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.terms import Single
@@ -136,7 +136,9 @@ def always(
     row = int(np.argmax(worth(*_by_row(law, scorer, values, devices, rows, kick=False))))
     found = evaluated(kind, law, scorer, places, values, row, free, cost)
     if row:
-        found = replace(found, evidence=found.evidence + np.log(scorer.space.transform.rows))
+        spared = float(np.log(scorer.space.transform.rows))
+        whole = None if found.cost is None else found.cost - spared
+        found = replace(found, evidence=found.evidence + spared, cost=whole)
 
     def again(after: Workspace) -> Candidate:
         return always(kind, law, Scorer.of(over(scorer.space, after)), begin, cost, free)
