@@ -190,9 +190,10 @@ less."""
 FINENESS = 1.0 / 300.0
 """Share of the interval between two values of the grid to which the best one is found."""
 
-ROUGHNESS = 1.0 / 30.0
-"""The same where the devices that are struck are sought with the value. By hand: an eighth of a
-step of the grid; the value alone is then sought to FINENESS."""
+NEARBY = 9
+"""Values, from two below to two above the best of a grid, at which the devices that are struck are
+sought again. By hand: half a step of the grid; a set that is sought with each has no single highest
+value, so that all of them are tried. The value alone is then sought to FINENESS."""
 
 FIRST_STATES = 5
 """States, from one end to the other, that a device that remembers may have had in the first row. By

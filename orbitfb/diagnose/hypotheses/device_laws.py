@@ -28,7 +28,7 @@ from orbitfb.estimation.evidence import best_size, given_size
 from orbitfb.estimation.priors import (
     FINENESS,
     GRID_REACH,
-    ROUGHNESS,
+    NEARBY,
     SIZE_WIDTH,
 )
 from orbitfb.estimation.transform import Matrix
@@ -119,13 +119,14 @@ def _finer(
     place, places, values = line.index(top.values[name]), top.places, top.values
     ends = _around(line, place)
     if len(places) > 1:
-
-        def scanned(value: float) -> _Found:
-            sets = _sets(kind, law, scorer, {**values, name: value})
-            some = [one for one in sets if one.places and one.free == top.free]
-            return max(some, default=top, key=lambda one: one.evidence)
-
-        found = scanned(highest(lambda value: scanned(value).evidence, ends, ROUGHNESS))
+        spaced = np.geomspace if ends[0] > 0.0 else np.linspace
+        some = [
+            one
+            for value in np.asarray(spaced(*ends, num=NEARBY)).tolist()
+            for one in _sets(kind, law, scorer, {**values, name: value})
+            if one.places and one.free == top.free
+        ]
+        found = max(some, default=top, key=lambda one: one.evidence)
         places, values = found.places, found.values
 
     def near(value: float) -> float:

@@ -50,7 +50,8 @@ def best_set(
         found = _grown(pull, information, choice, worth)
         if found[0] > best[0]:
             best = found
-    return best
+    found = _kept(pull, information, worth)
+    return found if found[0] > best[0] else best
 
 
 def _one(
@@ -98,6 +99,25 @@ def _grown(
         total, along = float(pulls[next_one]), float(informations[next_one])
     devices = sorted({int(device) for number in chosen for device in units[number]})
     return best, tuple(devices)
+
+
+def _kept(pull: Vector, information: Matrix, worth: Worth) -> tuple[float, tuple[int, ...]]:
+    """Those that stand out where all have a size of their own, less what is not worth its choice.
+
+    Devices whose orbits are alike hide each other: a set that grows may begin with a wrong one.
+    """
+    sizes = np.linalg.solve(information + np.eye(len(pull)), pull)
+    chosen = list(map(int, np.flatnonzero(sizes > 0.5 * sizes.max())))
+    cost = float(np.log(len(pull)))
+    while chosen:
+        own, inner = pull[chosen], information[np.ix_(chosen, chosen)]
+        now = float(worth(np.array([own.sum()]), np.array([inner.sum()]))[0])
+        less = worth(own.sum() - own, inner.sum() - 2.0 * inner.sum(axis=1) + np.diag(inner))
+        least = int(np.argmax(less))
+        if len(chosen) == 1 or less[least] < now - cost - MORE:
+            return now - cost * len(chosen), tuple(chosen)
+        del chosen[least]
+    return -np.inf, ()
 
 
 def grown_apart(

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from orbitfb.diagnose.hypotheses.sets import best_set
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.rounds import tournament
-from orbitfb.estimation.evidence import given_size
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import (
     BPMS,
@@ -52,12 +50,3 @@ def test_a_limit_is_told_though_few_rows_show_it_or_it_begins_late(rows: int, on
     assert found == [("corrector-saturation", (LIMITED,))]
     assert accepted[0].values["limit"] == pytest.approx(limit, abs=0.03)
     assert bool(accepted[0].onset) == bool(onset)
-
-
-def test_a_group_of_which_one_shows_anything_is_that_one() -> None:
-    """Correctors whose currents stay below a limit say nothing of it."""
-    pull, information = np.array([0.0, 90.0, 0.0, 0.0]), np.diag([0.0, 80.0, 0.0, 0.0])
-    groups = {"A": np.array([0, 1]), "B": np.array([2, 3])}
-    assert best_set(pull, information, groups, given_size)[1] == (1,)
-    pull[0], information[[0, 2, 3], [0, 2, 3]] = 60.0, 70.0
-    assert best_set(pull, information, groups, given_size)[1] == (0, 1)
