@@ -1,11 +1,12 @@
 """Laws of the reading noise itself: its level in time or with the beam, its memory."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfb.core.robust import TO_SIGMA
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
@@ -55,12 +56,10 @@ def scan_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
     best: tuple[float, tuple[int, ...], float, int] = (-np.inf, (), 1.0, 0)
     shapes = [(factor, 0, 1.0 + (factor - 1.0) * middle) for factor in LEVEL_RATIOS]
     shapes += [
-        (factor, begin, np.where(np.arange(LEVEL_WINDOWS) < begin, 1.0, factor))
-        for factor in LEVEL_RATIOS
-        for begin in range(2, LEVEL_WINDOWS - 1, 2)
+        (factor, begin, np.where(late, factor, 1.0)) for factor, begin, late in _beginnings()
     ]
     for factor, begin, shape in shapes:
-        gain = _level_gain(square, count, shape**2)
+        gain = _level_gain(square, count, shape[:, None] ** 2)
         found, places = _all_or_some(gain)
         if found > best[0]:
             best = (found, places, factor, begin)
@@ -72,6 +71,47 @@ def scan_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
     cost = VALUE_COST + np.log(len(shapes))
     course = Candidate(kind, places, names, values, gain - cost, onset=onset, noisy=True)
     return [course, *_odd_level(kind, law, scorer)]
+
+
+def _beginnings() -> Iterator[tuple[float, int, Mask]]:
+    """Ratios of levels, the window from which a level is another one, and which windows are."""
+    for factor in LEVEL_RATIOS:
+        for begin in range(2, LEVEL_WINDOWS - 1, 2):
+            yield factor, begin, np.arange(LEVEL_WINDOWS) >= begin
+
+
+def scan_ground_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate]:
+    """Find a level of the walk of all that changes at a row.
+
+    The most likely step of every mode at every row is E[w | record] = q/(q + λ) z in the modes of
+    the floor: it shows a walk k times as strong as far as the walk is above the noise, and counts
+    for fewer rows than there are, as it is smooth.
+    """
+    space = scorer.space
+    transform, noise = space.transform, space.noise
+    variance = noise.variance(transform)
+    walk = variance - transform.eigenvalue[:, None]
+    moving = np.all(walk > 0.0, axis=0)
+    walk, variance = walk[:, moving], variance[:, moving]
+    seen = transform.turn((scorer.left @ noise.modes[:, moving]) * np.sqrt(walk) / variance)
+    share = walk / variance
+    total, by_walk = share.sum(axis=0), np.sum(share**2, axis=0)
+    counted, level = total**2 / (len(transform) * by_walk), total / len(transform)
+    parts = np.array_split(seen**2 / level, LEVEL_WINDOWS)
+    square = np.stack([part.mean(axis=0) for part in parts])
+    count = np.array([len(part) for part in parts], dtype=float)[:, None]
+    best, tried = (-np.inf, 1.0, 0), 0
+    for factor, begin, late in _beginnings():
+        before = by_walk / (1.0 + (factor**2 - 1.0) * np.mean(late))  # the floor has both together
+        rest = total - by_walk
+        stronger = (factor**2 * before + rest) / (before + rest)
+        gain = _level_gain(square, count, np.where(late[:, None], stronger, 1.0))
+        best, tried = max(best, (float(gain @ counted), factor, begin)), tried + 1
+    gain, factor, begin = best
+    onset = int(transform.step_rows()[sum(len(part) for part in parts[:begin])])
+    values = {kind.parameters[0].name: factor}
+    cost = VALUE_COST + float(np.log(tried))
+    return [Candidate(kind, (), (), values, gain - cost, onset=onset, noisy=True)]
 
 
 def free_level(scorer: Scorer) -> tuple[float, Vector]:
@@ -153,11 +193,11 @@ def _odd_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
     return [Candidate(kind, places, names, values, gain - VALUE_COST, noisy=True, courseless=True)]
 
 
-def _level_gain(square: Matrix, count: Matrix, shape: Vector) -> Vector:
-    """Log likelihood of a course of the variance over a constant one, levels free, by BPM."""
-    level = np.sum(count * square / shape[:, None], axis=0) / count.sum()
+def _level_gain(square: Matrix, count: Matrix, shape: Matrix) -> Vector:
+    """Log likelihood of a course of the variance over a constant one, levels free, by column."""
+    level = np.sum(count * square / shape, axis=0) / count.sum()
     flat = np.sum(count * square, axis=0) / count.sum()
-    variance = shape[:, None] * level
+    variance = shape * level
     one = np.sum(-0.5 * count * (np.log(variance) + square / variance), axis=0)
     other = np.sum(-0.5 * count * (np.log(flat) + square / flat), axis=0)
     return one - other

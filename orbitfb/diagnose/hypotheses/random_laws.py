@@ -7,7 +7,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.lines import strongest_line
-from orbitfb.diagnose.hypotheses.noise_laws import scan_colour, scan_level
+from orbitfb.diagnose.hypotheses.noise_laws import scan_colour, scan_ground_level, scan_level
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
@@ -41,7 +41,7 @@ def scan_random(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
     if law.lag:
         return scan_colour(kind, law, scorer)
     if law.together and law.patterns.shape[1] != 1:
-        return []
+        return scan_ground_level(kind, law, scorer)
     space = scorer.space
     noise = replace(space.noise, walk=space.shape + space.held)
     mean = space.errors.mean()

@@ -93,6 +93,20 @@ def test_an_energy_that_wanders_is_no_ground() -> None:
     assert accepted[0].values["step"] == pytest.approx(3e-8, rel=0.2)
 
 
+@pytest.mark.parametrize("factor", [1.0, 2.5])
+def test_a_ground_that_moves_more_from_a_row_on_is_told(factor: float) -> None:
+    rng = np.random.default_rng(9)
+    moved = 3e-9 * rng.standard_normal((ROWS, ORBIT.shape[1])) * RING.strength("QUAD")
+    moved[ROWS // 2 :] *= factor
+    record = recorded(LAYOUT, np.zeros((ROWS, LAYOUT.response.shape[1])), read(moved, rng))
+    kinds = kinds_for(record)
+    accepted, _ = tournament(Workspace.of(record, kinds), kinds)
+    assert [one.kind.id for one in accepted] == ["ground-motion-level"] * (factor > 1.0)
+    for one in accepted:
+        assert one.values["factor"] == pytest.approx(factor, rel=0.25)
+        assert one.onset == pytest.approx(ROWS // 2, abs=ROWS // 20)
+
+
 def test_a_place_that_walks_as_all_others_do_has_no_walk_of_its_own() -> None:
     """Without a prior chance gives a tenth of the walk to single places."""
     rng = np.random.default_rng(4)

@@ -203,3 +203,15 @@ def test_a_delay_of_a_loop_that_swings_is_found_beyond_the_best_of_the_scan() ->
     accepted, _ = rounds.tournament(Workspace.of(record, kinds), kinds)
     assert [one.kind.id for one in accepted] == ["loop-delay"]
     assert accepted[0].values["ticks"] == pytest.approx(2.0, abs=0.05)
+
+
+def test_an_odd_noise_is_told_beside_other_noise_but_not_beside_a_law() -> None:
+    """A law that is not known yet adds to the noise of its BPM; the level of the ground does not."""
+    odd = Candidate(
+        effect("noise-level"), (3,), ("B3 (x)",), {"factor": 2.0}, 260.0,
+        noisy=True, courseless=True,
+    )  # fmt: skip
+    ground = Candidate(effect("ground-motion-level"), (), (), {"factor": 2.0}, 159.0, noisy=True)
+    law = Candidate(effect("bpm-gain"), (3,), ("B3 (x)",), {"gain": 0.1}, 100.0)
+    assert rounds._last_resort([odd, ground], accepted=False, drawn=False) == [odd, ground]
+    assert rounds._last_resort([odd, law], accepted=False, drawn=False) == [law]
