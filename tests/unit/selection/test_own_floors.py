@@ -206,7 +206,7 @@ def test_a_delay_of_a_loop_that_swings_is_found_beyond_the_best_of_the_scan() ->
 
 
 def test_an_odd_noise_is_told_beside_other_noise_but_not_beside_a_law() -> None:
-    """A law that is not known yet adds to the noise of its BPM; the level of the ground does not."""
+    """A law that is not known yet adds to the noise of its BPM, and the ground does not."""
     odd = Candidate(
         effect("noise-level"), (3,), ("B3 (x)",), {"factor": 2.0}, 260.0,
         noisy=True, courseless=True,
