@@ -92,7 +92,7 @@ def tournament(
             space = space.saturable()  # every floor from here on begins with it
         drawn = bool(space.signals.record.filled.any())
         candidates, bare, lost = refitted(candidates, space, enough)
-        candidates = _last_resort(candidates, any(not one.noisy for one in accepted), drawn)
+        candidates = _last_resort(candidates, not all(map(_of_ground, accepted)), drawn)
         deaf = _coloured(accepted)
         free = [one for one in scan_free(Scorer.of(bare)) if one.name not in deaf][:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
@@ -211,12 +211,17 @@ def _last_resort(candidates: list[Candidate], accepted: bool, drawn: bool) -> li
     """Tell that the noise of a BPM is unlike the others' only where nothing else is told.
 
     Whatever a BPM does that is in no law adds to its noise. Where readings were drawn, so does any
-    law that is not known yet: nothing of it is in those. A random course is no such law, and what
-    is said of the noise of others, or of the ground, leaves a BPM as odd as it is.
+    law that is not known yet: nothing of it is in those. A random course is no such law, and how
+    much the ground moves leaves a BPM as odd as it is.
     """
     others = [one for one in candidates if not (one.noisy and (drawn or one.courseless))]
-    told = [one for one in others if not (one.noisy or (drawn and one.courseless))]
+    told = [one for one in others if not (_of_ground(one) or (drawn and one.courseless))]
     return others if accepted or (told and told[0].evidence >= SURE) else candidates
+
+
+def _of_ground(one: Candidate) -> bool:
+    """Whether it says only how much the ground moves."""
+    return one.noisy and one.kind.target == "ring"
 
 
 def _light(candidates: list[Candidate]) -> list[Candidate]:

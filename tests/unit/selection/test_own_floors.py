@@ -205,13 +205,15 @@ def test_a_delay_of_a_loop_that_swings_is_found_beyond_the_best_of_the_scan() ->
     assert accepted[0].values["ticks"] == pytest.approx(2.0, abs=0.05)
 
 
-def test_an_odd_noise_is_told_beside_other_noise_but_not_beside_a_law() -> None:
-    """A law that is not known yet adds to the noise of its BPM, and the ground does not."""
+def test_an_odd_noise_is_told_beside_a_louder_ground_but_not_beside_a_law() -> None:
+    """A law that is not known yet adds to the noise of its BPM, and so does common noise."""
     odd = Candidate(
         effect("noise-level"), (3,), ("B3 (x)",), {"factor": 2.0}, 260.0,
         noisy=True, courseless=True,
     )  # fmt: skip
     ground = Candidate(effect("ground-motion-level"), (), (), {"factor": 2.0}, 159.0, noisy=True)
     law = Candidate(effect("bpm-gain"), (3,), ("B3 (x)",), {"gain": 0.1}, 100.0)
+    common = Candidate(effect("noise-correlated"), (0,), ("C0 (x)",), {}, 100.0, noisy=True)
     assert rounds._last_resort([odd, ground], accepted=False, drawn=False) == [odd, ground]
-    assert rounds._last_resort([odd, law], accepted=False, drawn=False) == [law]
+    for one in (law, common):
+        assert rounds._last_resort([odd, one], accepted=False, drawn=False) == [one]
