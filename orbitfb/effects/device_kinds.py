@@ -51,10 +51,8 @@ class ActuatorKind(EffectKind):
 
         def first(values: Values, given: Signals) -> Matrix:
             beginning = given.currents.reshape(1, -1)  # each row of each one for itself
-            rows, devices = given.currents.shape
-            wide = {
-                name: np.tile(one, rows) for name, one in values.items() if np.size(one) == devices
-            }
+            rows = len(given.currents)
+            wide = {name: np.tile(one, rows) for name, one in values.items() if np.ndim(one)}
             every = cast(Values, {**values, **wide})
             lost = self.drive(beginning, every, given.record.rows(0, 1)) - beginning
             return lost.reshape(given.currents.shape)

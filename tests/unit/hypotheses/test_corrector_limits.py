@@ -1,10 +1,15 @@
 """Limits of single correctors, each of which has a range of setpoints of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.rounds import tournament
+from orbitfb.effects.laws import DeviceLaw, Signals
+from orbitfb.effects.registry import effect
+from orbitfb.records.layout import Devices
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import (
     BPMS,
@@ -50,3 +55,19 @@ def test_a_limit_is_told_though_few_rows_show_it_or_it_begins_late(rows: int, on
     assert found == [("corrector-saturation", (LIMITED,))]
     assert accepted[0].values["limit"] == pytest.approx(limit, abs=0.03)
     assert bool(accepted[0].onset) == bool(onset)
+
+
+def test_a_ring_of_one_corrector_has_limits() -> None:
+    """One value for all devices is no value of each, though there is one of each."""
+    record, _ = limited(3, 0, 6)
+    layout = record.layout
+    devices = Devices(layout.correctors.names[:1], ("x",), ("",))
+    single = replace(layout, correctors=devices, response=layout.response[:, [LIMITED]])
+    alone = recorded(single, record.setpoints[:, [LIMITED]], record.readings)
+    kind = effect("corrector-saturation")
+    (law,) = kind.laws(Signals(alone, alone.setpoints, alone.readings))
+    assert isinstance(law, DeviceLaw)
+    assert law.first is not None
+    values = {"limit": 1.0, "side": 0.0, "rounding": 1e-6}
+    lost = law.first(values, Signals(alone, alone.setpoints, alone.readings))
+    assert lost == pytest.approx(np.clip(alone.setpoints, -1.0, 1.0) - alone.setpoints)
