@@ -116,18 +116,21 @@ class Candidate:
             for column, variance in self.columns.items():
                 single[column] = variance
             space = replace(space, single=single)
+        signals = space.signals  # currents that have the cause already have nothing of it left
         if undo is None:
             space = self.driving(space)
         # What devices have of their own was free of each other, and stays so with `again`.
         apart = self.again is not None and len(self.sources) > 1
         columns = [
-            column
-            for one in (self.sources if spread and not apart else ())
+            (number, column)
+            for number, one in enumerate(self.sources if spread and not apart else ())
             if not one.elements
-            for column in one.columns(self.kind, space.signals)
+            for column in one.columns(self.kind, signals)
         ]
         if columns:
-            space = space.beside(self.kind, self.sources[0].law, *joined(columns), VALUE_SCATTER)
+            free = tuple((number, name) for number, (name, its, _) in columns for _ in its.T)
+            whole = joined([column for _, column in columns])
+            space = space.beside(self.kind, self.sources[0].law, *whole, free, VALUE_SCATTER)
         return space.with_floor()
 
     def driving(self, space: Workspace) -> Workspace:

@@ -13,6 +13,7 @@ from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import RandomLaw
+from orbitfb.estimation.moments import Moments, weighed_sums
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.priors import (
     MORE,
@@ -230,6 +231,41 @@ def pursued(pull: Vector, weights: Vector, transform: StepTransform) -> tuple[fl
     strokes[struck] = sizes
     chosen = len(struck) * cost + 0.5 * float(np.sum(np.log1p(own[struck] * sizes**2)))
     return 0.5 * float(pull @ strokes) - chosen, strokes
+
+
+def scaled(one: Candidate, factor: float, space: Workspace) -> Candidate:
+    """The same random cause with its variance times a factor."""
+    part = one.walk if one.walk is not None else one.white
+    law = next(law for law in space.courses.laws(one.kind) if isinstance(law, RandomLaw))
+    place = one.places[0] if one.places else 0
+    pattern = law.patterns[:, place]
+    variance = factor * float(np.trace(np.asarray(part)) / (pattern @ pattern))
+    return _candidate(one.kind, law, space, place, variance, one.evidence)
+
+
+def of_variance(one: Candidate, space: Workspace) -> tuple[float, float]:
+    """Derivative of the log likelihood by the log of a random cause's variance, and information.
+
+    Args:
+        one: Accepted, with a walk or a white part.
+        space: With it; its floor stays as it is.
+    """
+    noise, transform = space.noise, space.transform
+    left, scatter = space.unmodelled()
+    sums = weighed_sums(noise, Moments.of(left, transform).beside(scatter))
+    walk = np.zeros_like(noise.walk) if one.walk is None else one.walk
+    white = np.zeros_like(walk) if one.white is None else one.white
+    pull, expected, noisy, usual = sums
+    score = 0.5 * float(np.sum(walk * (pull - expected)) + np.sum(white * (noisy - usual)))
+    parts = [noise.modes.T @ part @ noise.modes for part in (walk, white)]
+    information = 0.0
+    for inverse, level, count in zip(
+        noise.inverse_variance(transform), transform.band_levels(), transform.count, strict=True
+    ):
+        half = np.sqrt(inverse)
+        mixed = half[:, None] * (parts[0] + level * parts[1]) * half
+        information += 0.5 * float(count) * float(np.sum(mixed**2))
+    return score, information
 
 
 def _candidate(

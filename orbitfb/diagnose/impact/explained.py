@@ -153,7 +153,7 @@ class _Taken:
         differences: Mapping[int, Differences] = {}
         block = self._block(part)
         if block is not None and self._differ(block):
-            differences = part_differences(part, space, self.sizes[block.columns])
+            differences = part_differences(part, block, self.sizes[block.columns])
             if differences:
                 named[block.columns] = self.sizes[block.columns]
                 self.told.append(block)
@@ -199,26 +199,26 @@ class _Taken:
         return tuple(self.pieces[id(part)] for part in cause.parts)
 
 
-def part_differences(part: Candidate, space: Workspace, sizes: Vector) -> Mapping[int, Differences]:
+def part_differences(
+    part: Candidate, block: ErrorBlock, sizes: Vector
+) -> Mapping[int, Differences]:
     """Relative differences of values, by number of the source, parameter and device.
 
     Empty where a device has several columns of one parameter, one per plane: it has one value.
 
     Args:
         part: A candidate with courses.
-        space: Of the record.
-        sizes: Of its columns, in their order, shape (k,).
+        block: Its columns.
+        sizes: Of them, in their order, shape (k,).
     """
-    found: dict[int, Differences] = {}
-    first = 0
-    for number, one in enumerate(part.sources):
-        own: dict[str, Vector] = {}
-        for name, patterns, _ in one.columns(part.kind, space.signals):
-            if name in own:
-                return {}
-            own[name] = sizes[first : first + patterns.shape[1]]
-            first += patterns.shape[1]
-        found[number] = own
+    found: dict[int, dict[str, Vector]] = {}
+    for key in dict.fromkeys(block.free):
+        number, name = key
+        own = sizes[[one == key for one in block.free]]
+        source = part.sources[number]
+        if len(own) > (len(source.places) or len(source.law.names)):
+            return {}
+        found.setdefault(number, {})[name] = own
     return found
 
 

@@ -158,7 +158,8 @@ def _summed(
     for number, one in enumerate(moved):
         own = differences.get(number, {})
         for name, patterns, courses in one.columns(kind, space.signals) if own else ():
-            total += space.transform.spectrum(courses * own[name]) @ patterns.T
+            if name in own:
+                total += space.transform.spectrum(courses * own[name]) @ patterns.T
         chosen = list(one.places) if one.places else slice(None)
         for block, course in zip(one.law.patterns, one.of(space.signals, one.values), strict=True):
             wide = np.broadcast_to(course, (len(course), len(one.size))) * one.size

@@ -25,7 +25,8 @@ class ErrorBlock:
         columns: Among the terms: one per device.
         delayed: Further columns, the same courses some rows late, less the course itself.
         limit: Standard deviation up to which a healthy ring has it, by device, shape (D,).
-        accepted: Whether these are deviations of a cause that was accepted, not healthy errors.
+        free: Of deviations of a cause that was accepted: number of the source and parameter of
+            every column; empty of a healthy error.
     """
 
     kind: EffectKind
@@ -34,7 +35,12 @@ class ErrorBlock:
     columns: slice
     delayed: slice
     limit: Vector
-    accepted: bool = False
+    free: tuple[tuple[int, str], ...] = ()
+
+    @property
+    def accepted(self) -> bool:
+        """Whether these are deviations of a cause that was accepted, not healthy errors."""
+        return bool(self.free)
 
     def of_devices(self, target: str) -> bool:
         """Whether it is an error of the devices that a target names; the ring as such has none."""

@@ -371,6 +371,7 @@ class Workspace:
         patterns: Matrix,
         pattern: Indices,
         courses: Matrix,
+        free: tuple[tuple[int, str], ...],
         limit: float,
     ) -> "Workspace":
         """Let the values of an accepted cause differ a little from device to device.
@@ -381,13 +382,14 @@ class Workspace:
             patterns: Of the columns, shape (n, P) [m].
             pattern: Which of them a column has, shape (k,).
             courses: Of the columns, shape (N, k).
+            free: Number of the source and parameter of every column.
             limit: Largest standard deviation of their sizes.
         """
         terms = self.terms.beside(patterns, pattern, courses, self.transform)
         count = len(pattern)
         columns = slice(len(self.terms), len(terms))
         none = slice(len(terms), len(terms))
-        block = ErrorBlock(kind, law, 0, columns, none, np.full(count, limit), accepted=True)
+        block = ErrorBlock(kind, law, 0, columns, none, np.full(count, limit), free)
         return replace(
             self,
             terms=terms,

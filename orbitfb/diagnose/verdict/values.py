@@ -1,15 +1,17 @@
 """Values of a cause's parameters with intervals, from the curvature of the evidence."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.random_laws import of_variance
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.pieces import Piece
 from orbitfb.diagnose.likelihood.errors import variances
+from orbitfb.diagnose.likelihood.weighed import Weighed
 from orbitfb.diagnose.result.parts import ParameterValue
 from orbitfb.effects.kinds import EffectKind, Parameter
 from orbitfb.effects.laws import DeviceLaw, FieldLaw
@@ -80,19 +82,28 @@ class Measured:
         return self._of_strikes(kind, part)
 
     def _of_courses(self, kind: EffectKind, part: Candidate) -> Spread:
-        """Of the first device with values of its own; of all that share them."""
+        """Of the first device with values of its own; of all that share them.
+
+        The freedom that they have from device to device is left out: it is what is asked for.
+        """
         fields: dict[str, Matrix] = {}
-        space = self.scorer.space
-        for name, patterns, courses in part.sources[0].columns(kind, space.signals):
+        space, law = self.scorer.space, part.sources[0].law
+        # Currents that have the cause already have nothing of it left.
+        signals = replace(space.signals, currents=space.signals.record.setpoints)
+        for name, patterns, courses in part.sources[0].columns(kind, signals):
             added = space.transform.spectrum(courses) @ patterns.T
             fields[name] = fields[name] + added if name in fields else added
-        return self._curved(fields)
+        shares = tuple(
+            0.0 if block.accepted and block.law is law else share
+            for block, share in zip(space.blocks, space.shares, strict=True)
+        )
+        return self._curved(fields, Weighed.of(replace(space, shares=shares)))
 
-    def _curved(self, fields: Mapping[str, Matrix]) -> Spread:
+    def _curved(self, fields: Mapping[str, Matrix], weighed: Weighed | None = None) -> Spread:
         """Of relative changes that add fields, all of them free at once."""
         if not fields:
             return {}
-        _, information = self.scorer.evaluate(list(fields.values()))
+        _, information = (weighed or self.scorer).evaluate(list(fields.values()))
         covariance = np.linalg.inv(information + np.eye(len(fields)) / KNOWN_TO**2)
         spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return dict(zip(fields, map(float, spread), strict=True))
@@ -175,18 +186,7 @@ class Measured:
 
     def _of_variance(self, kind: EffectKind, part: Candidate) -> Spread:
         """Of the size of something random: its information is that of its covariance."""
-        space = self.scorer.space
-        noise, transform = space.noise, space.transform
-        walk = np.zeros_like(noise.walk) if part.walk is None else part.walk
-        white = np.zeros_like(walk) if part.white is None else part.white
-        parts = [noise.modes.T @ one @ noise.modes for one in (walk, white)]
-        information = 0.0
-        for inverse, level, count in zip(
-            noise.inverse_variance(transform), transform.band_levels(), transform.count, strict=True
-        ):
-            half = np.sqrt(inverse)
-            mixed = half[:, None] * (parts[0] + level * parts[1]) * half
-            information += 0.5 * float(count) * float(np.sum(mixed**2))
+        _, information = of_variance(part, self.scorer.space)
         spread = 0.5 / np.sqrt(information + 0.25 / KNOWN_TO**2)
         return {kind.parameters[0].name: float(spread)}
 
