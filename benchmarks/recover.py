@@ -22,7 +22,7 @@ from orbitfb.effects.build import Since, layout_of
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import SourceKind
-from orbitfb.effects.random_kinds import NoiseKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.registry import all_effects
 from orbitfb.effects.sensors.bpm_current import CHANNEL, top_up_current
 from orbitfb.estimation.priors import SURE
@@ -158,12 +158,12 @@ class Recovered:
 
 
 def draw(kind: EffectKind, seed: int, ticks: int, ring: Ring) -> Case:
-    """Draw a place; take the size from the table."""
+    """Draw a place; take the size from the table. What strikes rows strikes all devices."""
     planes = PLANES.get(kind.id, "x")
     layout = layout_of(ring, planes, PERIOD)
     rng = generator(seed, f"recover {kind.id}")
     places: tuple[int, ...] = ()
-    if kind.target != "ring":
+    if kind.target != "ring" and (not isinstance(kind, LatentKind) or kind.per_bpm):
         places = (int(rng.integers(_count(kind, layout))),)
     if isinstance(kind, NoiseKind) and kind.id == "noise-correlated":
         places = (int(rng.integers(len(kind.places_of(layout)) - 1)),)
@@ -203,9 +203,10 @@ def record_of(case: Case, ticks: int) -> Record:
     rng = generator(case.seed, f"effect {kind.id}")
     effect = kind.simulate(layout, columns_of(kind, case.places, layout), case.values, rng)
     begin = SETTLE + case.onset if case.onset or kind.grows else 0
-    if kind.id == "periodic-disturbance":
-        begin = SETTLE  # its phase is counted from the first row
-    own_clock = kind.grows or kind.id == "periodic-disturbance"
+    waves = kind.id in ("periodic-disturbance", "bpm-hum")
+    if waves:
+        begin = SETTLE  # their phase is counted from the first row
+    own_clock = kind.grows or waves
     record = simulate_record(
         case.ring,
         case.planes,

@@ -24,6 +24,12 @@ from orbitfb.records.record import Record
 Values = Mapping[str, float]
 
 
+def _nothing(strokes: Vector) -> Values:
+    """No parameter that strokes tell themselves."""
+    return {}
+
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:
     """What a law acts on.
@@ -123,6 +129,7 @@ class RandomLaw:
         lag: Rows between the readings whose covariance it changes.
         smooth: Whether its course is smooth: the variance of its steps then goes with 1/λ.
         size: First parameter that belongs to a κ, for BPMs of a given noise rms [m].
+        strokes: Parameters that belong to strokes of every step, zero where there is none.
     """
 
     patterns: Matrix
@@ -135,6 +142,7 @@ class RandomLaw:
     lag: int
     size: Callable[[float, float], float]
     smooth: bool = False
+    strokes: Callable[[Vector], Values] = _nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)

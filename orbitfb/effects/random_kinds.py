@@ -53,8 +53,13 @@ class NoiseKind(EffectKind):
                 relative=self.relative,
                 lag=self.lag,
                 size=self.size,
+                strokes=self.of_strokes,
             ),
         )
+
+    def of_strokes(self, strokes: Vector) -> Values:
+        """Parameters that rare strokes tell themselves, by the strokes of all steps, shape (T,)."""
+        return {}
 
     @abstractmethod
     def places_of(self, layout: Layout) -> tuple[str, ...]:

@@ -331,6 +331,9 @@ LEAST_SPREAD = 0.02
 """Least relative standard deviation of a value [1]: no law is right to better than that. The
 frequency of a wave is: it belongs to nothing but time."""
 
+BEND = 0.05
+"""Relative change of a value by which the curvature of its evidence is taken [1]."""
+
 KNOWN_TO = 1.0
 """Relative standard deviation of a value before the record is seen [1]."""
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.noise_laws import ReadingNoise
+from orbitfb.diagnose.hypotheses.noise_laws import scan_tails
+from orbitfb.diagnose.hypotheses.refit import nearby
 from orbitfb.diagnose.hypotheses.row_sums import Rows
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
@@ -14,8 +15,7 @@ from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import EventLaw
 from orbitfb.estimation.priors import (
-    MORE,
-    STRENGTHS,
+    KNOWN_TO,
     STRUCK_FINE,
     STRUCK_RUN,
     STRUCK_SHARES,
@@ -28,7 +28,7 @@ from orbitfb.estimation.transform import Indices, Matrix
 def scan_events(kind: EffectKind, law: EventLaw, scorer: Scorer) -> list[Candidate]:
     """Find what is struck, and how often or how strongly."""
     if law.single:
-        return [_tails(kind, scorer)]
+        return [scan_tails(kind, scorer)]
     strikes = _Strikes.of(law, scorer)
     parts = {"": np.arange(strikes.moves.shape[1]), **law.parts}
 
@@ -55,10 +55,15 @@ def _told(
     """
     members = law.parts[name] if name else np.arange(strikes.moves.shape[1])
     if law.often:
-        _, values, strength, chosen = _jitter(kind, scorer, *strikes.rows(members))
+        pull, information = strikes.rows(members)
+        _, values, strength, chosen = _jitter(kind, scorer, pull, information)
         field = _field(scorer, strikes.shapes(members), strength)
+        seen = information / (information + 1.0 / max(*values.values(), 1e-300) ** 2)
+        counted = 2.0 * float(np.sum(seen**2))
     else:
-        values, field, chosen = _in_runs(kind, scorer, strikes, members)
+        values, field, chosen, struck = _in_runs(kind, scorer, strikes, members)
+        counted = float(struck)
+    spread = {kind.parameters[0].name: 1.0 / float(np.sqrt(counted + 1.0 / KNOWN_TO**2))}
     cost = chosen + float(np.log(1 + len(law.parts))) + VALUE_COST
 
     def again(after: Workspace) -> Candidate:
@@ -67,7 +72,7 @@ def _told(
 
     return Candidate(
         kind, tuple(map(int, members)) if name else (), (name,) if name else (), values,
-        scorer.likelihood(field) - cost, field=field, cost=cost, again=again,
+        scorer.likelihood(field) - cost, field=field, cost=cost, again=again, spread=spread,
     )  # fmt: skip
 
 
@@ -172,8 +177,8 @@ def _mixture(gain: Vector, share: float) -> float:
 
 def _in_runs(
     kind: EffectKind, scorer: Scorer, strikes: _Strikes, members: Indices
-) -> tuple[dict[str, float], Matrix, float]:
-    """Strikes of strength one that may follow each other: values, what they add, and their cost.
+) -> tuple[dict[str, float], Matrix, float, int]:
+    """Strikes of strength one that may follow each other: values, what they add, cost and count.
 
     The cost of choosing the rows is that of their chain [nats], and what noise of any shape gives.
 
@@ -208,20 +213,21 @@ def _in_runs(
     chance = evidence_of_runs(-opposite - 0.5 * information, shares)
     struck = np.count_nonzero(length)
     cost = -struck * np.log(share) - (len(length) - struck) * np.log1p(-share)
-    return values, field, float(cost + max(chance.max(), 0.0))
+    return values, field, float(cost + max(chance.max(), 0.0)), int(struck)
 
 
 def _jitter(
     kind: EffectKind, scorer: Scorer, pull: Vector, information: Vector
 ) -> tuple[float, dict[str, float], Vector, float]:
     """A normal strength at every row: evidence, values, strength by step, and its cost [nats]."""
-    best, variance = -np.inf, 0.0
-    for values in scorer.space.courses.grid(kind):
-        tried = values[kind.parameters[0].name] ** 2
-        grown = 1.0 + information * tried
-        found = float(np.sum(0.5 * pull**2 * tried / grown - 0.5 * np.log(grown)))
-        if found > best:
-            best, variance = found, tried
+
+    def worth(rms: float) -> float:
+        grown = 1.0 + information * rms**2
+        return float(np.sum(0.5 * (pull * rms) ** 2 / grown - 0.5 * np.log(grown)))
+
+    grid = sorted(values[kind.parameters[0].name] for values in scorer.space.courses.grid(kind))
+    rms, _ = nearby(worth, max(grid, key=worth), float(np.max(np.divide(grid[1:], grid[:-1]))))
+    best, variance = worth(rms), rms**2
     strength = pull * variance / (1.0 + information * variance)
     apart = strength**2 / variance if variance else np.zeros_like(strength)
     cost = 0.5 * float(np.sum(apart + np.log1p(information * variance)))
@@ -234,35 +240,3 @@ def _field(scorer: Scorer, shapes: Matrix, strength: Vector) -> Matrix:
     full = np.zeros_like(shapes)
     full[transform.step_rows()] = strength[:, None] * shapes[transform.step_rows()]
     return transform.spectrum(full)
-
-
-def _tails(kind: EffectKind, scorer: Scorer) -> Candidate:
-    """Single readings that are struck now and then: tails of the noise, of all BPMs or of some."""
-    noise = ReadingNoise.of(scorer).values
-    noise = noise / np.sqrt(np.mean(noise**2, axis=0))
-    best: tuple[float, tuple[int, ...], float, float] = (-np.inf, (), 0.0, 0.0)
-    for share in STRUCK_SHARES:
-        for strength in STRENGTHS:
-            level = 1.0 / (1.0 + share * strength**2)
-            usual = -0.5 * (noise**2 / level + np.log(level))
-            wide = level * (1.0 + strength**2)
-            struck = -0.5 * (noise**2 / wide + np.log(wide))
-            mixed = np.logaddexp(np.log1p(-share) + usual, np.log(share) + struck)
-            gain = np.sum(mixed + 0.5 * noise**2, axis=0)
-            cost = float(np.log(len(gain)))
-            chosen = np.flatnonzero(gain > cost + MORE)
-            some = float(np.sum(gain[chosen] - cost)) if len(chosen) else -np.inf
-            every = float(np.sum(gain))
-            places = () if every >= some else tuple(int(place) for place in chosen)
-            if max(every, some) > best[0]:
-                best = (max(every, some), places, share, strength)
-    gain, places, share, strength = best
-    values = {p.name: p.typical for p in kind.parameters}
-    names = [p.name for p in kind.parameters]
-    values[names[0]] = share
-    reading = float(np.sqrt(np.median(scorer.space.noise.reading)))
-    if len(names) > 1:
-        values[names[1]] = strength * reading
-    bpms = scorer.space.signals.record.layout.bpms
-    told = tuple(bpms.label(place) for place in places)
-    return Candidate(kind, places, told, values, gain - 2 * VALUE_COST, noisy=True)

@@ -9,6 +9,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
 from orbitfb.diagnose.hypotheses.device_laws import choices
+from orbitfb.diagnose.hypotheses.refit import highest
 from orbitfb.diagnose.hypotheses.row_sums import Turned
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
@@ -16,6 +17,7 @@ from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.priors import (
+    FINENESS,
     LINE_FINER,
     LINE_FINEST,
     LINE_PERIODS,
@@ -183,9 +185,19 @@ def _highest(scorer: Scorer, worth: Worth) -> tuple[Matrix, float, Turned]:
     near = top + np.arange(-LINE_FINEST, LINE_FINEST + 1) / (LINE_FINEST * LINE_FINER * count)
     wave = np.exp(-2j * np.pi * np.outer(near, np.arange(count)))
     told = np.asarray(wave @ scorer.rows.late, dtype=np.complex128)
-    fine = worth(told, near)
-    line = int(np.argmax(fine.max(axis=1)))
-    return fine[line : line + 1], float(near[line]), told[line : line + 1]
+    line = int(np.argmax(worth(told, near).max(axis=1)))
+
+    def at(frequency: float) -> Turned:
+        wave = np.exp(-2j * np.pi * frequency * np.arange(count))
+        return np.asarray(wave[None, :] @ scorer.rows.late, dtype=np.complex128)
+
+    def best(frequency: float) -> float:
+        return float(worth(at(frequency), np.array([frequency])).max())
+
+    step = 1.0 / (LINE_FINEST * LINE_FINER * count)
+    found = highest(best, (float(near[line]) - step, float(near[line]) + step), FINENESS)
+    turned = at(found)
+    return worth(turned, np.array([found])), found, turned
 
 
 def _gains(

@@ -189,6 +189,10 @@ def _struck(kind: EffectKind, law: RandomLaw, scorer: Scorer, place: int) -> Can
         return None
     evidence = gain - float(np.log(law.patterns.shape[1])) - VALUE_COST
     whole = _candidate(kind, law, space, place, float(np.mean(strokes**2)), evidence)
+    values = {**whole.values, **law.strokes(strokes)}
+    known = dict.fromkeys(values, 1.0 / float(np.sqrt(np.count_nonzero(strokes))))
+    known[kind.parameters[0].name] = 1.0 / float(np.sqrt(2.0 * gain))
+    whole = replace(whole, values=values, spread=known)
     field = space.transform.turn(strokes[:, None]) @ pattern.T
 
     def again(after: Workspace) -> Candidate:

@@ -19,7 +19,7 @@ from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import FIRST_STATE, EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, Signals
-from orbitfb.estimation.priors import OWN_REACH, SLOPE
+from orbitfb.estimation.priors import BEND, FINENESS, KNOWN_TO, OWN_REACH, SLOPE
 from orbitfb.estimation.transform import Indices, Matrix
 
 
@@ -178,6 +178,20 @@ def step_of(sources: Sequence[Course], name: str, scorer: Scorer) -> tuple[Vecto
     step = np.linalg.solve(inner, left)
     step *= OWN_REACH / max(OWN_REACH, float(np.max(np.abs(step))))
     return step, float(step @ left - 0.5 * step @ inner @ step)
+
+
+def nearby(worth: Callable[[float], float], value: float, reach: float) -> tuple[float, float]:
+    """The best value near one of a grid, and its relative standard deviation by the curvature.
+
+    Args:
+        worth: Log likelihood of a value.
+        value: Of the grid.
+        reach: Factor by which the best one differs at most.
+    """
+    best = value * highest(lambda factor: worth(value * factor), (1.0 / reach, reach), FINENESS)
+    best = best if worth(best) > worth(value) else value
+    bent = (2.0 * worth(best) - worth(best * (1.0 + BEND)) - worth(best * (1.0 - BEND))) / BEND**2
+    return best, 1.0 / float(np.sqrt(max(bent, 0.0) + 1.0 / KNOWN_TO**2))
 
 
 def highest(worth: Callable[[float], float], ends: tuple[float, float], fine: float) -> float:

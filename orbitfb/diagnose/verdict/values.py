@@ -69,6 +69,8 @@ class Measured:
     def _spread(self, kind: EffectKind, part: Candidate) -> Spread:
         if not kind.parameters:
             return {}
+        if part.spread:
+            return part.spread
         if part.raised:
             return self._of_scatter(kind, part)
         if part.columns:
@@ -100,13 +102,20 @@ class Measured:
         return self._curved(fields, Weighed.of(replace(space, shares=shares)))
 
     def _curved(self, fields: Mapping[str, Matrix], weighed: Weighed | None = None) -> Spread:
-        """Of relative changes that add fields, all of them free at once."""
+        """Of relative changes that add fields, all of them free at once.
+
+        A value of which the record says less than was known before has no interval.
+        """
         if not fields:
             return {}
         _, information = (weighed or self.scorer).evaluate(list(fields.values()))
         covariance = np.linalg.inv(information + np.eye(len(fields)) / KNOWN_TO**2)
-        spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        return dict(zip(fields, map(float, spread), strict=True))
+        variance = np.maximum(np.diag(covariance), 0.0)
+        return {
+            name: float(np.sqrt(one))
+            for name, one in zip(fields, variance, strict=True)
+            if one < 0.5 * KNOWN_TO**2
+        }
 
     def _of_field(self, kind: EffectKind, part: Candidate) -> Spread:
         """Of a law of the whole ring, or of a pair: its size, and values by their derivatives."""
@@ -126,6 +135,9 @@ class Measured:
         for parameter in kind.fitted(space.signals.record):
             value = part.values.get(parameter.name, 0.0)
             if parameter.meanings or parameter.whole or value == 0.0:
+                continue
+            if parameter in kind.sizes and len(kind.sizes) == 1:
+                fields[parameter.name] = field
                 continue
             moved = {**part.values, parameter.name: value * (1.0 + _STEP)}
             slope = (space.courses.field(laws[0], moved) - now) / _STEP

@@ -83,6 +83,12 @@ class Telegraph(NoiseKind):
         """θ at the typical probability, negative where there is less than nothing."""
         return math.copysign(math.sqrt(abs(variance) / (4.0 * _SWITCHES)), variance)
 
+    def of_strokes(self, strokes: Vector) -> Values:
+        """Every change of sign is a stroke of 2 θ."""
+        changes = strokes[strokes != 0.0]
+        kick = 0.5 * float(np.sqrt(np.mean(changes**2)))
+        return {"kick": kick, "probability": len(changes) / len(strokes)}
+
     def spectrum(
         self, values: Values, reading_noise: float, turn: NDArray[np.complex128]
     ) -> Vector:
