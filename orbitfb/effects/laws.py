@@ -29,7 +29,6 @@ def _nothing(strokes: Vector) -> Values:
     return {}
 
 
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:
     """What a law acts on.

@@ -100,7 +100,7 @@ def scan_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
 
 def _refined(one: Candidate, worth: Callable[[float], float]) -> Candidate:
     """A candidate of a grid whose level is told between the values of the grid if it leads."""
-    (name, value), = one.values.items()
+    ((name, value),) = one.values.items()
 
     def finer() -> Candidate:
         best, spread = nearby(worth, value, _LEVEL_STEP)
@@ -140,6 +140,7 @@ def scan_ground_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[
     parts = np.array_split(seen**2 / level, LEVEL_WINDOWS)
     square = np.stack([part.mean(axis=0) for part in parts])
     count = np.array([len(part) for part in parts], dtype=float)[:, None]
+
     def worth(factor: float, late: Mask) -> float:
         before = by_walk / (1.0 + (factor**2 - 1.0) * np.mean(late))  # the floor has both together
         rest = total - by_walk
@@ -294,7 +295,12 @@ def scan_colour(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
     values = {kind.parameters[0].name: kept}
     one = Candidate(kind, places, names, values, gain, noisy=True, coloured=True)
     chosen = list(places) if places else slice(None)
-    return [_refined(one, lambda value: float(np.sum(by_bpm(np.clip(value, -_MOST_KEPT, _MOST_KEPT))[chosen])))]
+    return [
+        _refined(
+            one,
+            lambda value: float(np.sum(by_bpm(np.clip(value, -_MOST_KEPT, _MOST_KEPT))[chosen])),
+        )
+    ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -97,12 +97,13 @@ class Course:
         chosen = list(self.places) if self.places else slice(None)
         now = self.of(signals, self.values)
         scaled = {parameter.name for parameter in kind.sizes}
+        fitted = {parameter.name for parameter in kind.fitted(signals.record)}
         changes: list[tuple[str, tuple[Matrix, ...]]] = []
         if scaled:
             changes.append((next(iter(sorted(scaled))), now))
         for parameter in kind.parameters:
             value = self.values.get(parameter.name, 0.0)
-            free = parameter in kind.fitted(signals.record) and not parameter.meanings
+            free = parameter.name in fitted and not parameter.meanings
             if parameter.name in scaled or not free or parameter.whole or value == 0.0:
                 continue
             moved = self.of(signals, {**self.values, parameter.name: value * (1.0 + SLOPE)})

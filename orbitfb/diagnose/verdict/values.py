@@ -99,7 +99,11 @@ class Measured:
             0.0 if block.accepted and block.law is law else share
             for block, share in zip(space.blocks, space.shares, strict=True)
         )
-        return self._curved(fields, Weighed.of(replace(space, shares=shares)))
+        found = dict(self._curved(fields, Weighed.of(replace(space, shares=shares))))
+        sizes = [parameter.name for parameter in kind.sizes]
+        for name in found.keys() & sizes:  # they have one factor
+            found.update(dict.fromkeys(sizes, found[name]))
+        return found
 
     def _curved(self, fields: Mapping[str, Matrix], weighed: Weighed | None = None) -> Spread:
         """Of relative changes that add fields, all of them free at once.

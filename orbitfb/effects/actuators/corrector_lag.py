@@ -16,9 +16,6 @@ from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
 _NONE = 1e-6  # [s]; a second time constant that no record tells from none
-_SECOND = 0.3
-"""Second time constant that is tried first, over the one that was found alone."""
-
 _SHORT = (0.145, 0.17)
 """Shortest time constants of the grid, in periods: what they leave is not proportional to them."""
 
