@@ -18,10 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.blind.figures import wilson
-from benchmarks.recover import PERIOD, SCREENED, Case, columns_of, draw, record_of
+from benchmarks.recover import SCREENED, Case, columns_of, draw, record_of
 from benchmarks.small_ring import small_ring
 from orbitfb.diagnose.verdict.engine import diagnose
-from orbitfb.effects.build import layout_of
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.effect import generator
@@ -98,7 +97,7 @@ def told(case: Case, ticks: int) -> Iterator[Told]:
             continue
         for name, value in case.values.items():
             found = cause.parameters.get(name)
-            if found is not None:
+            if found is not None and found.value is not None:
                 yield Told(
                     case.kind.id, name, case.seed, value, found.value, found.low, found.high
                 )  # fmt: skip

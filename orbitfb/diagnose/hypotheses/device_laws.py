@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.optimize import minimize
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
@@ -18,7 +17,7 @@ from orbitfb.diagnose.hypotheses.ranking import (
     within,
     worths_of,
 )
-from orbitfb.diagnose.hypotheses.refit import Course, highest
+from orbitfb.diagnose.hypotheses.refit import Course, highest, highest_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import best_set
 from orbitfb.diagnose.hypotheses.undone import bent
@@ -37,12 +36,6 @@ from orbitfb.estimation.transform import Matrix
 _BESIDE = 0.3
 """A value that a law is complete without is first tried at this share of the one of its unit that
 the grid runs over. By hand: where it shows it is found from there."""
-_SIMPLEX = 0.2
-"""Change of each logarithm with which several values are sought at once."""
-_LOOKS = 80
-"""Values that are tried while they are, at most."""
-_NEARLY = 0.1
-"""Evidence to which the best of them is found [nats]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,31 +116,6 @@ def _finer(
     def exact(places: tuple[int, ...], values: Values) -> Candidate:
         return evaluated(kind, law, scorer, places, values, 0, top.free, cost)
 
-    def together(found: Candidate, values: Values, name: str) -> Candidate:
-        """Seek all values at once, if there are others than the one that the grid runs over."""
-        others = _others(kind, values, name, scorer)
-        if not others:
-            return found
-        begin = {**values, **others}
-        names = (name, *others)
-
-        def at(logs: Vector) -> Candidate:
-            moved = {
-                key: _bounded(kind, key, float(np.exp(log)))
-                for key, log in zip(names, logs, strict=True)
-            }
-            told = {**begin, **moved}
-            paid = cost_of(kind, told, scorer)
-            return evaluated(kind, law, scorer, found.places, told, 0, top.free, paid)
-
-        logs = np.log([begin[key] for key in names])
-        corners = np.vstack([logs, logs + _SIMPLEX * np.eye(len(names))])
-        best = minimize(
-            lambda one: -at(one).evidence, logs, method="Nelder-Mead",
-            options={"initial_simplex": corners, "xatol": FINENESS, "fatol": _NEARLY, "maxfev": _LOOKS},
-        ).x  # fmt: skip
-        return max(found, at(best), key=lambda one: one.evidence)
-
     best, name = exact(top.places, top.values), running(grid)
     if name is None or best.evidence <= 0.0:
         return best
@@ -174,44 +142,48 @@ def _finer(
         nearest = min(range(len(line)), key=lambda at: abs(line[at] - value))
         if fine.evidence <= best.evidence or line[nearest] not in ends or nearest == place:
             best = max(best, fine, key=lambda one: one.evidence)
-            return together(best, {**values, name: best.values[name]}, name)
+            return _in_all_values(kind, law, scorer, best, name, top.free)
         best, place, ends = fine, nearest, _around(line, nearest)  # the highest may lie beyond
 
 
-def _others(kind: EffectKind, values: Values, name: str, scorer: Scorer) -> Mapping[str, float]:
-    """Values that are sought beside the one that a grid runs over, and where each begins.
+def _in_all_values(
+    kind: EffectKind, law: DeviceLaw, scorer: Scorer, best: Candidate, name: str, free: bool
+) -> Candidate:
+    """Seek all values at once, if there are others than the one that the grid runs over.
 
     What is complete without a value may have it as well: one of the same unit as that which runs,
     such as a second time constant, begins at a share of that.
 
     Args:
         kind: The effect.
-        values: Of the parameters.
-        name: Of the one that the grid runs over.
+        law: Of its devices.
         scorer: Of what is left to explain.
+        best: With the value that the grid runs over at its best.
+        name: Of that value.
+        free: Whether it may have any size.
     """
-    units = {parameter.name: parameter.unit for parameter in kind.parameters}
-    found = {}
+    known = best.sources[0].values
+    unit = next(one.unit for one in kind.parameters if one.name == name)
+    begin, bounds = {name: known[name]}, {}
     for parameter in kind.fitted(scorer.space.signals.record):
-        now = values.get(parameter.name, parameter.nominal)
-        if (
-            parameter.name == name
-            or parameter in kind.sizes
-            or parameter.whole
-            or not parameter.log
-        ):
+        bounds[parameter.name] = parameter.low, parameter.high
+        now = known.get(parameter.name, parameter.nominal)
+        if parameter.optional and now == parameter.nominal and parameter.unit == unit:
+            now = _BESIDE * known[name]
+        elif parameter.optional and now == parameter.nominal:
             continue
-        if not parameter.optional or now != parameter.nominal:
-            found[parameter.name] = now
-        elif parameter.unit == units[name]:
-            found[parameter.name] = _BESIDE * abs(values[name])
-    return {key: value for key, value in found.items() if value > 0.0}
+        if parameter.log and not parameter.whole and parameter not in kind.sizes:
+            begin[parameter.name] = now
+    if len(begin) == 1 or min(begin.values()) <= 0.0:
+        return best
 
+    def at(values: Values) -> Candidate:
+        told = {**known, **values}
+        cost = cost_of(kind, told, scorer)
+        return evaluated(kind, law, scorer, best.places, told, 0, free, cost)
 
-def _bounded(kind: EffectKind, name: str, value: float) -> float:
-    """A value within the bounds of its parameter."""
-    parameter = next(one for one in kind.parameters if one.name == name)
-    return min(max(value, parameter.low), parameter.high)
+    found = highest_of(lambda values: at(values).evidence, begin, bounds)
+    return max(best, at(found), key=lambda one: one.evidence)
 
 
 def _around(line: Sequence[float], place: int) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.noise_laws import scan_tails
+from orbitfb.diagnose.hypotheses.noise.tails import scan_tails
 from orbitfb.diagnose.hypotheses.refit import nearby
 from orbitfb.diagnose.hypotheses.row_sums import Rows
 from orbitfb.diagnose.hypotheses.scores import Scorer

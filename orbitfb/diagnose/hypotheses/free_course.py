@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.hypotheses.noise_laws import free_level
+from orbitfb.diagnose.hypotheses.noise.levels import free_level
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.estimation.priors import FREE_LAGS, FREE_WAVES, FREE_WIDTHS, VALUE_COST
 from orbitfb.estimation.transform import Matrix, StepTransform

@@ -7,7 +7,8 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.lines import strongest_line
-from orbitfb.diagnose.hypotheses.noise_laws import scan_colour, scan_ground_level, scan_level
+from orbitfb.diagnose.hypotheses.noise.colour import scan_colour
+from orbitfb.diagnose.hypotheses.noise.levels import scan_ground_level, scan_level
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
-from scipy.optimize import fminbound
+from scipy.optimize import fminbound, minimize
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.scores import Scorer
@@ -21,6 +21,13 @@ from orbitfb.effects.kinds import FIRST_STATE, EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.estimation.priors import BEND, FINENESS, KNOWN_TO, OWN_REACH, SLOPE
 from orbitfb.estimation.transform import Indices, Matrix
+
+_SIMPLEX = 0.2
+"""Change of each logarithm with which several values are sought at once."""
+_LOOKS = 80
+"""Values that are tried while they are, at most. By hand, for time: two values take about 40."""
+_NEARLY = 0.1
+"""Evidence to which the best of them is found [nats]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,6 +200,30 @@ def nearby(worth: Callable[[float], float], value: float, reach: float) -> tuple
     best = best if worth(best) > worth(value) else value
     bent = (2.0 * worth(best) - worth(best * (1.0 + BEND)) - worth(best * (1.0 - BEND))) / BEND**2
     return best, 1.0 / float(np.sqrt(max(bent, 0.0) + 1.0 / KNOWN_TO**2))
+
+
+def highest_of(
+    worth: Callable[[Values], float], begin: Values, bounds: Mapping[str, tuple[float, float]]
+) -> Values:
+    """Where a function of several values is highest near others, along their logarithms.
+
+    J. A. Nelder, R. Mead, Comput. J. 7 (1965) 308.
+
+    Args:
+        worth: The function.
+        begin: Values, all above zero.
+        bounds: Least and largest of each.
+    """
+
+    def values(logs: Vector) -> Values:
+        each = zip(begin, np.exp(logs).tolist(), strict=True)
+        return {name: min(max(one, bounds[name][0]), bounds[name][1]) for name, one in each}
+
+    logs = np.log(list(begin.values()))
+    corners = np.vstack([logs, logs + _SIMPLEX * np.eye(len(logs))])
+    options = {"initial_simplex": corners, "xatol": FINENESS, "fatol": _NEARLY, "maxfev": _LOOKS}
+    found = minimize(lambda at: -worth(values(at)), logs, method="Nelder-Mead", options=options)
+    return values(found.x)
 
 
 def highest(worth: Callable[[float], float], ends: tuple[float, float], fine: float) -> float:
