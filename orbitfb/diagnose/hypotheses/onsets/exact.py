@@ -78,8 +78,10 @@ def exactly(
             its = kind, law, scorer, places, {**values, name: value}, row, free, cost, kick
             return evaluated(*its).evidence
 
-        values = {**values, name: highest(near, (ends[0], ends[1]), FINENESS)}
-        row, kick, _ = _best_row(law, scorer, replace(begin, values=values, row=row), free)
+        value = highest(near, (ends[0], ends[1]), FINENESS)  # never quite an end
+        if near(value) > near(values[name]):
+            values = {**values, name: value}
+            row, kick, _ = _best_row(law, scorer, replace(begin, values=values, row=row), free)
     known = replace(begin, row=row, values=values, others=(begin.row, *begin.others))
 
     def again(after: Workspace) -> Candidate:
