@@ -221,7 +221,9 @@ class _Rivals:
             fine = one if one.finer is None else one.finer()
             if fine.again is not None:
                 more = fine.again(lower)
-                cost = scorer.likelihood(np.asarray(more.field)) - more.evidence
+                cost = more.cost
+                if cost is None:
+                    cost = scorer.likelihood(np.asarray(more.field)) - more.evidence
                 self.candidates[number] = replace(more, cost=cost)
 
     def next(self) -> int | None:

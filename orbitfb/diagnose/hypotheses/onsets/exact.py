@@ -201,10 +201,12 @@ def kicking(
     size = float(sizes[0])
     added = sum(k * one for k, one in zip(sizes, fields, strict=True))
     gain = terms.evidence_at(sizes) - cost - choices(law, places) - np.log(space.transform.rows)
+    worth = float(pull @ sizes - 0.5 * sizes @ information @ sizes)
     scaled = {**values, **{one.name: size * values[one.name] for one in kind.sizes}}
     return Candidate(
         kind, places, tuple(law.names[one] for one in places), scaled, float(gain), onset=onset,
         field=np.asarray(added, dtype=float), sources=(replace(source, size=size * source.size),),
+        cost=worth - float(gain),
     )  # fmt: skip
 
 
