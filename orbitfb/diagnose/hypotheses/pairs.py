@@ -1,12 +1,13 @@
 """Laws of two devices: exchanged, coupled, rolled."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.onsets.pairs import LatePair, kicking_pairs
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import grown_apart
 from orbitfb.diagnose.likelihood.terms import Single
@@ -14,8 +15,18 @@ from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import PairLaw
 from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
-from orbitfb.estimation.priors import MOST_DEVICES, SIZE_WIDTH, SURE, VALUE_COST, WIDTHS
+from orbitfb.estimation.priors import (
+    MOST_DEVICES,
+    ONSET_MARGIN,
+    SIZE_WIDTH,
+    SURE,
+    VALUE_COST,
+    WIDTHS,
+)
 from orbitfb.estimation.transform import Indices, Matrix
+
+_LATE = 2
+"""Pairs whose row is told, those of which most shows. By hand, for time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,9 +143,14 @@ def scan_pairs(kind: EffectKind, law: PairLaw, scorer: Scorer) -> list[Candidate
         gain = (
             normal_size(pull, information, SIZE_WIDTH**2) if free else given_size(pull, information)
         )
-        best.append(_single(mixed, scorer, _best(mixed, scorer, gain, pull, free), free))
+        number = _best(mixed, scorer, gain, pull, free)
+        best.append(_single(mixed, scorer, number, free))
         if free:
             sets += _sets(mixed, scorer, gain)
+        if not law.readings:
+            shown = normal_size(pull, information, SIZE_WIDTH**2)
+            shown[number] = max(shown[number], best[-1].evidence)
+            sets += _late(mixed, scorer, shown)
     return [max(best, key=lambda one: one.evidence), *sets]
 
 
@@ -170,6 +186,28 @@ def _single(mixed: _Mixed, scorer: Scorer, number: int, free: bool) -> Candidate
         size = float(pull[0] / (information[0, 0] + SIZE_WIDTH**-2))
     cost = float(np.log(len(mixed.law.pairs))) + VALUE_COST * len(mixed.kind.parameters)
     return mixed.several(scorer.space, np.array([number]), np.array([size]), gain - cost)
+
+
+def _late(mixed: _Mixed, scorer: Scorer, shown: Vector) -> Iterator[Candidate]:
+    """Pairs that begin late: those that show most over the whole record, or where they begin.
+
+    Args:
+        mixed: The law.
+        scorer: Of what is left to explain.
+        shown: Log evidence of every pair with a size of its own, shape (P,): of what begins late a
+            part shows.
+    """
+    rows = range(ONSET_MARGIN, scorer.space.transform.rows - ONSET_MARGIN)
+    most = [number for number in np.argsort(-shown)[:_LATE].tolist() if shown[number] > SURE]
+    told: dict[int, Sequence[int]] = {
+        number: range(max(row - 1, rows.start), min(row + 2, rows.stop))
+        for number, row in kicking_pairs(mixed.law, mixed.mixing, scorer)
+    }
+    for number, near in {**told, **dict.fromkeys(most, rows)}.items():
+        if len(near):
+            mixing = mixed.mixing[number]
+            pair = LatePair(mixed.kind, mixed.law, mixed.values, number, mixing)
+            yield pair.told(scorer, near)
 
 
 def _sets(mixed: _Mixed, scorer: Scorer, gain: Vector) -> Iterator[Candidate]:

@@ -39,7 +39,7 @@ def test_every_value_is_told_within_three_standard_deviations(name: str) -> None
 @pytest.mark.parametrize("name", NARROW)
 def test_a_value_that_shows_has_a_narrow_interval(name: str) -> None:
     size = effect(name).linear or effect(name).parameters[0].name
-    found = [one for one in told(draw(effect(name), 1, TICKS, RING), TICKS)]
+    found = list(told(draw(effect(name), 1, TICKS, RING), TICKS))
     assert [one.spread < 0.1 * one.value for one in found if one.parameter == size] == [True]
 
 
