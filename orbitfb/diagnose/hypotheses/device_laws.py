@@ -250,12 +250,12 @@ def evaluated(
         worth = float(pull[0] * size - 0.5 * information[0, 0] * size**2)
         paid += worth - gain
         if law.undone is not None and len(places) == 1 and gain > 0.0:
-            size, worth, field = bent(kind, law, scorer, source, size, worth, field)
+            source, size, worth, field = bent(kind, law, scorer, source, size, worth, field)
     else:
         worth = float(given_size(pull, information[0])[0])
-    scaled = {**values}
+    scaled = {**source.values}
     for parameter in kind.sizes:
-        scaled[parameter.name] = size * values[parameter.name]
+        scaled[parameter.name] = size * source.values[parameter.name]
     names = tuple(law.names[place] for place in places)
     return Candidate(
         kind, places, names, scaled, worth - paid, onset=onset, field=field.astype(float),

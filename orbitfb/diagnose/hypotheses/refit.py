@@ -207,8 +207,6 @@ def highest_of(
 ) -> Values:
     """Where a function of several values is highest near others, along their logarithms.
 
-    J. A. Nelder, R. Mead, Comput. J. 7 (1965) 308.
-
     Args:
         worth: The function.
         begin: Values, all above zero.
@@ -220,10 +218,23 @@ def highest_of(
         return {name: min(max(one, bounds[name][0]), bounds[name][1]) for name, one in each}
 
     logs = np.log(list(begin.values()))
-    corners = np.vstack([logs, logs + _SIMPLEX * np.eye(len(logs))])
+    return values(climbed(lambda at: worth(values(at)), logs, _SIMPLEX))
+
+
+def climbed(worth: Callable[[Vector], float], begin: Vector, step: float) -> Vector:
+    """Where a function of several numbers is highest near others.
+
+    J. A. Nelder, R. Mead, Comput. J. 7 (1965) 308.
+
+    Args:
+        worth: The function [nats].
+        begin: The numbers, shape (k,).
+        step: By which each is changed at first.
+    """
+    corners = np.vstack([begin, begin + step * np.eye(len(begin))])
     options = {"initial_simplex": corners, "xatol": FINENESS, "fatol": _NEARLY, "maxfev": _LOOKS}
-    found = minimize(lambda at: -worth(values(at)), logs, method="Nelder-Mead", options=options)
-    return values(found.x)
+    found = minimize(lambda at: -worth(at), begin, method="Nelder-Mead", options=options)
+    return np.asarray(found.x)
 
 
 def highest(worth: Callable[[float], float], ends: tuple[float, float], fine: float) -> float:

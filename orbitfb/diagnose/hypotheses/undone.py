@@ -8,7 +8,7 @@ it is its own scale from step to step. A floor of their own will say about the s
 (`own_floors.refitted`). Where a law takes a large part of the readings, its size is told so, too.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,11 +16,11 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.ranking import within
-from orbitfb.diagnose.hypotheses.refit import Course, highest
+from orbitfb.diagnose.hypotheses.refit import Course, climbed, highest
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, PairLaw, Signals
 from orbitfb.estimation.priors import (
     FINENESS,
@@ -191,11 +191,11 @@ def bent(
     size: float,
     worth: float,
     field: Single,
-) -> tuple[float, float, Single]:
-    """Size, log likelihood and field of a BPM that is undone, if its readings bend with the size.
+) -> tuple[Course, float, float, Single]:
+    """A BPM that is undone, if its readings bend with the size: it, size, log likelihood and field.
 
     A course is told of the orbit as it is read, in which the law is already: a curve that takes a
-    quarter off a reading looks as if it took a third.
+    quarter off a reading looks as if it took a third. Of a law of several sizes all are sought.
 
     Args:
         kind: The effect.
@@ -212,24 +212,54 @@ def bent(
     own = (scorer.weights @ (scorer.modes[chosen] ** 2).T)[:, 0]
     left = scorer.beside_others(kind.target)[:, chosen[0]] / own
 
-    def taken_off(size: float, given: Signals) -> tuple[Matrix, float]:
-        its = replace(source, size=size * source.size)
+    def taken_off(its: Course, given: Signals) -> tuple[Matrix, float]:
         ((_, change, widened),) = its.undone(kind, given)
         return change, float(np.sum(widened[inside]))
 
     def density(rest: Vector) -> float:
         return -0.5 * len(rest) * float(np.log(np.mean(rest**2 * own)))
 
-    def undone(size: float) -> float:
-        change, widened = taken_off(size, signals)
+    def sized(size: float) -> Course:
+        return replace(source, size=size * source.size)
+
+    def undone(its: Course) -> float:
+        change, widened = taken_off(its, signals)
         return widened + density(left - transform.quick_spectrum(change)[:, 0])
 
-    if abs(undone(size) - density(left) - worth) < MORE:
-        return size, worth, field
-    share = highest(lambda share: undone(share * size), _REACH, FINENESS)
+    if abs(undone(sized(size)) - density(left) - worth) < MORE:
+        return source, size, worth, field
+    share = highest(lambda share: undone(sized(share * size)), _REACH, FINENESS)
     best = within(kind, source.values, share * size)
+    if len(kind.sizes) > 1:
+        source, best = (
+            _of_all_sizes(kind, sized(best), scorer.space.courses.grid(kind), undone),
+            1.0,
+        )
     told = np.zeros_like(field)
-    told[:, chosen] = transform.quick_spectrum(taken_off(best, heard)[0])
+    told[:, chosen] = transform.quick_spectrum(taken_off(sized(best), heard)[0])
     # At least: beside errors that stand in for it, and by what the predicted orbit shows of it.
-    least = undone(best) - density(scorer.pulled[:, chosen[0]] / own)
-    return best, max(least, scorer.likelihood(told)), told
+    least = undone(sized(best)) - density(scorer.pulled[:, chosen[0]] / own)
+    return source, best, max(least, scorer.likelihood(told)), told
+
+
+def _of_all_sizes(
+    kind: EffectKind, its: Course, grid: Sequence[Values], worth: Callable[[Course], float]
+) -> Course:
+    """A device whose sizes are each for itself where they explain most, near those of one factor.
+
+    Args:
+        kind: The effect.
+        its: The device, with its sizes so far.
+        grid: Values that are scanned, which say how large each size may be.
+        worth: What sizes explain [nats].
+    """
+    now = {one.name: float(its.size[0]) * its.values[one.name] for one in kind.sizes}
+    unit = {name: max(abs(values[name]) for values in grid) for name in now}
+    plain = replace(its, size=np.ones_like(its.size))
+
+    def at(shares: Vector) -> Course:
+        sizes = {name: float(x) * unit[name] for name, x in zip(now, shares, strict=True)}
+        return replace(plain, values={**its.values, **sizes})
+
+    begin = np.array([now[name] / unit[name] for name in now])
+    return at(climbed(lambda shares: worth(at(shares)), begin, 0.5 * float(np.max(np.abs(begin)))))

@@ -229,7 +229,9 @@ def _largest(kind: EffectKind, pieces: tuple[Piece, ...]) -> dict[str, float]:
 def _told(parameter: Parameter, value: float, spread: float | None, meaning: str) -> ParameterValue:
     """A value with its interval, within the bounds of its parameter."""
     least = 0.0 if parameter.unit == "Hz" else LEAST_SPREAD
-    reach = None if spread is None else _NINETY * abs(value) * max(spread, least)
+    reach = None
+    if spread is not None and value != 0.0:  # a value of none was not sought
+        reach = _NINETY * abs(value) * max(spread, least)
     return ParameterValue(
         value=value,
         low=None if reach is None else max(value - reach, parameter.low),
