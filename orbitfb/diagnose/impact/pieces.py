@@ -61,18 +61,21 @@ def _pieces(
     part: Candidate, space: Workspace, sizes: Vector, differences: Mapping[int, Differences]
 ) -> Iterator[Piece]:
     linear = part.kind.linear
+    bounds = {parameter.name: (parameter.low, parameter.high) for parameter in part.kind.parameters}
     wave = wave_of(part, space)
     if wave is not None:
         for name, values in zip(wave.names, wave.values, strict=True):
             yield Piece((name,), values, part.onset)
     elif linear is not None and part.columns:
         for name, column in zip(part.names, part.columns, strict=True):
-            yield Piece((name,), {**part.values, linear: float(sizes[column])}, part.onset)
+            size = float(np.clip(sizes[column], *bounds[linear]))
+            yield Piece((name,), {**part.values, linear: size}, part.onset)
     elif linear is not None and part.raised:
         for number in part.raised:
             block = space.blocks[number]
-            for name, size in zip(block.law.names, sizes[block.columns], strict=True):
-                yield Piece((name,), {**part.values, linear: float(size)}, part.onset)
+            own = np.clip(sizes[block.columns], *bounds[linear]).tolist()
+            for name, size in zip(block.law.names, own, strict=True):
+                yield Piece((name,), {**part.values, linear: size}, part.onset)
     elif part.parts:
         for one in part.parts:
             yield Piece(one.names, dict(one.values), one.onset)
