@@ -327,9 +327,11 @@ FREE_WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0)
 CERTAIN = 0.9
 """Probability of one effect alone from which it is named without an alternative."""
 
-LEAST_SPREAD = 0.02
-"""Least relative standard deviation of a value [1]: no law is right to better than that. The
-frequency of a wave is: it belongs to nothing but time."""
+LEAST_SPREAD = 0.05
+"""Least relative standard deviation of a value [1]: no law is right to better than that, as no
+response is. With it 0.90 of 277 intervals have the truth, with 0.02 0.85 (`benchmarks.intervals
+--first 101 --seeds 6`, without four effects whose values are wrong for other reasons). The
+frequency of a wave is right to better: it belongs to nothing but time."""
 
 BEND = 0.05
 """Relative change of a value by which the curvature of its evidence is taken [1]."""

@@ -27,6 +27,7 @@ from orbitfb.estimation.priors import (
     MORE,
     ONSET_MARGIN,
     ONSETS_EVERY,
+    SURE,
     VALUE_COST,
 )
 from orbitfb.estimation.transform import Indices, Matrix
@@ -231,10 +232,9 @@ def bent(
     share = highest(lambda share: undone(sized(share * size)), _REACH, FINENESS)
     best = within(kind, source.values, share * size)
     if len(kind.sizes) > 1:
-        source, best = (
-            _of_all_sizes(kind, sized(best), scorer.space.courses.grid(kind), undone),
-            1.0,
-        )
+        each = _of_all_sizes(kind, sized(best), scorer.space.courses.grid(kind), undone)
+        if undone(each) > undone(sized(best)) + SURE:  # else one factor says as much
+            source, best = each, 1.0
     told = np.zeros_like(field)
     told[:, chosen] = transform.quick_spectrum(taken_off(sized(best), heard)[0])
     # At least: beside errors that stand in for it, and by what the predicted orbit shows of it.

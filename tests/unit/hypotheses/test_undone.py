@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.rounds import _echo, tournament
 from orbitfb.effects.registry import effect
@@ -79,3 +80,21 @@ def test_readings_are_undone_once() -> None:
     curve = Candidate(effect("bpm-nonlinearity"), (7,), ("B7 (x)",), {"quadratic": 1.0}, 2000.0)
     assert _echo(polarity, [curve])
     assert not _echo(polarity, [replace(curve, places=(6,))])
+
+
+def test_a_curve_is_told_in_both_of_its_sizes() -> None:
+    """It bends to one side, and saturates: neither alone is nearly as likely."""
+    rng, layout = np.random.default_rng(7), make_record(11).layout
+    setpoints = 0.3 * rng.standard_normal((ROWS, layout.response.shape[1]))
+    kicks = (1e-3 * rng.standard_normal(setpoints.shape)).cumsum(axis=0)
+    orbit = 60e-6 + (setpoints + kicks) @ layout.response.T
+    bent = orbit.copy()
+    bent[:, 7] += 3000.0 * orbit[:, 7] ** 2 - 2e7 * orbit[:, 7] ** 3
+    record = recorded(layout, setpoints, bent + NOISE * rng.standard_normal(orbit.shape))
+    kinds = kinds_for(record)
+
+    found = candidates_of(Workspace.of(record, kinds), [effect("bpm-nonlinearity")])
+
+    best = next(one for one in found if one.kind.id == "bpm-nonlinearity" and one.places == (7,))
+    assert best.values["quadratic"] == pytest.approx(3000.0, rel=0.02)
+    assert best.values["cubic"] == pytest.approx(-2e7, rel=0.02)
