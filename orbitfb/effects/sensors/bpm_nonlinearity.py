@@ -18,6 +18,8 @@ from orbitfb.records.record import Record
 _FLATTEST = 0.2
 """Least slope: where the cubic gets flatter, the characteristic goes on straight. So it can be
 undone everywhere, and no reading is worth an infinite likelihood."""
+_BOTH = 0.1
+"""Share of the largest reading by which both sizes bend it, where both are scanned."""
 _STEPS = 12
 _HALVINGS = 80
 
@@ -76,6 +78,8 @@ class BpmNonlinearity(SensorKind):
             a2 = min(max(share / largest, quadratic.low), quadratic.high)
             a3 = min(max(share / largest**2, cubic.low), cubic.high)
             found += [{"quadratic": a2, "cubic": 0.0}, {"quadratic": 0.0, "cubic": a3}]
+            if abs(share) == _BOTH:
+                found += [{"quadratic": a2, "cubic": a3}, {"quadratic": a2, "cubic": -a3}]
         return tuple(found)
 
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
