@@ -51,10 +51,11 @@ def _refined(candidates: list[Candidate], scorer: Scorer, enough: float) -> list
 
     A scan leaves out up to half of what is worth something, so less than half of what is enough,
     or a small part of the best, can win no more. It leaves out more of a law that begins late,
-    whose beginning the floor has for a walk.
+    whose beginning the floor has for a walk. That the noise of a BPM is odd wins against none.
     """
     while True:
-        top = candidates[0].evidence if candidates else 0.0
+        told = (one.evidence for one in candidates if not (one.noisy and one.courseless))
+        top = next(told, 0.0)
         for place in _leading(candidates):
             one = candidates[place]
             least = 0.5 * enough if one.onset else max(0.5 * enough, CLOSE * top)

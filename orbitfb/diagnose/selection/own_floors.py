@@ -258,14 +258,15 @@ class _Rivals:
     def ranked(self) -> list[Candidate]:
         """All of them, the best first; of one without a floor of its own what it has at least.
 
-        That is no more than its effect, or those that led, have.
+        That is no more than its effect, or those that led, have; where it is as much, those that
+        were weighed stand before it.
         """
         weighed, good = self._weighed(), min(self.good(), default=np.inf)
-        found = []
+        found = list(self.own.values())
         for number, one in enumerate(self.candidates):
-            most = one.evidence if one.noisy else weighed.get(_form(one), good)
-            rest = replace(one, evidence=min(self.worth[number], most))
-            found.append(self.own.get(number, rest))
+            if number not in self.own:
+                most = one.evidence if one.noisy else weighed.get(_form(one), good)
+                found.append(replace(one, evidence=min(self.worth[number], most)))
         return strongest(found)
 
     def good(self) -> list[float]:

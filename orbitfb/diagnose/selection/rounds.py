@@ -21,6 +21,7 @@ from orbitfb.estimation.priors import (
     REMAINDER,
     ROUNDS,
     SURE,
+    SWALLOWED,
 )
 
 
@@ -212,11 +213,14 @@ def _last_resort(candidates: list[Candidate], accepted: bool, drawn: bool) -> li
 
     Whatever a BPM does that is in no law adds to its noise. Where readings were drawn, so does any
     law that is not known yet: nothing of it is in those. A random course is no such law, and how
-    much the ground moves leaves a BPM as odd as it is.
+    much the ground moves leaves a BPM as odd as it is. A law of other devices that makes a BPM odd
+    says more than that it is, but for what the floor may have of the law.
     """
+    odd = max((one.evidence for one in candidates if one.noisy and one.courseless), default=0.0)
     others = [one for one in candidates if not (one.noisy and (drawn or one.courseless))]
     told = [one for one in others if not (_of_ground(one) or (drawn and one.courseless))]
-    return others if accepted or (told and told[0].evidence >= SURE) else candidates
+    least = max(SURE, odd / SWALLOWED) if told and told[0].kind.target != "bpm" else SURE
+    return others if accepted or (told and told[0].evidence >= least) else candidates
 
 
 def _of_ground(one: Candidate) -> bool:

@@ -12,7 +12,7 @@ from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection import own_floors, rounds
-from orbitfb.diagnose.selection.own_floors import _under, refitted
+from orbitfb.diagnose.selection.own_floors import _Rivals, _under, refitted
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import effect
 from orbitfb.records.record import Record
@@ -217,3 +217,26 @@ def test_an_odd_noise_is_told_beside_a_louder_ground_but_not_beside_a_law() -> N
     assert rounds._last_resort([odd, ground], accepted=False, drawn=False) == [odd, ground]
     for one in (law, common):
         assert rounds._last_resort([odd, one], accepted=False, drawn=False) == [one]
+
+
+def test_an_odd_noise_is_told_beside_a_weak_law_of_other_devices() -> None:
+    """A law that makes the noise of a BPM odd says more than that it is."""
+    odd = Candidate(
+        effect("noise-level"), (3,), ("B3 (x)",), {"factor": 2.0}, 212.0,
+        noisy=True, courseless=True,
+    )  # fmt: skip
+    weak = Candidate(effect("corrector-hysteresis"), (), (), {"width": 3e-5}, 18.8)
+    strong = replace(weak, evidence=150.0)
+    assert rounds._last_resort([odd, weak], accepted=False, drawn=False) == [odd, weak]
+    assert rounds._last_resort([odd, strong], accepted=False, drawn=False) == [strong]
+
+
+def test_of_candidates_with_like_evidence_the_weighed_one_leads() -> None:
+    """One that was only scanned has no field: accepted, it would explain nothing."""
+    scanned = Candidate(effect("bpm-gain"), (), (), {"gain": 0.1}, 20.3)
+    weighed = Candidate(
+        effect("bpm-gain"), (3,), ("B3 (x)",), {"gain": 0.1}, 15.5, field=np.ones((3, 2)), cost=1.0
+    )
+    rivals = _Rivals([scanned, weighed], [20.3, 15.5], 12.0, False)
+    rivals.own[1] = replace(weighed, evidence=18.8)
+    assert rivals.ranked()[0].field is not None
