@@ -8,9 +8,11 @@ import pytest
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses import events
 from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.noise.tails import Tails
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.own_floors import settled
+from orbitfb.estimation.priors import KNOWN_TO
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import (
     BPMS,
@@ -117,3 +119,12 @@ def test_strikes_that_are_found_are_no_chance() -> None:
     assert one.names == ("C1",)
     assert one.cost is not None
     assert one.cost < 1.2 * choice
+
+
+def test_tails_that_do_not_show_are_known_no_better_than_before() -> None:
+    """Of readings without strikes the likelihood is flat, and bends either way."""
+    rng = np.random.default_rng(3)
+    tails = Tails(rng.standard_normal((200, 1)), np.array([1e-7]))
+    for share, amplitude in ((1e-3, 1e-8), (1e-4, 1e-6), (0.4, 1e-8)):
+        assert np.all(tails.spread(share, amplitude) <= KNOWN_TO * (1.0 + 1e-9))
+        assert np.all(tails.spread(share, amplitude) > 0.0)

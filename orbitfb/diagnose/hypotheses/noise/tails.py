@@ -80,13 +80,15 @@ class Tails:
 
     def spread(self, share: float, amplitude: float) -> Vector:
         """Relative standard deviations of both, each if the other is free, shape (2,)."""
-        values, bent = np.log([share, amplitude]), np.eye(2) / KNOWN_TO**2
+        values, bent = np.log([share, amplitude]), np.zeros((2, 2))
         for one, other in product(range(2), range(2)):
             step, along = BEND * np.eye(2)[one], BEND * np.eye(2)[other]
             corners = [values + s * step + t * along for s, t in product((1, -1), (1, -1))]
             both, up, down, none = (self.worth(*np.exp(corner)) for corner in corners)
             bent[one, other] -= (both - up - down + none) / (4.0 * BEND**2)
-        return np.sqrt(np.diag(np.linalg.inv(bent)))
+        # Where the likelihood is flat it may bend upwards: that says nothing.
+        size, modes = np.linalg.eigh(bent)
+        return np.asarray(np.sqrt((modes**2) @ (1.0 / (np.maximum(size, 0.0) + 1.0 / KNOWN_TO**2))))
 
 
 def scan_tails(kind: EffectKind, scorer: Scorer) -> Candidate:
