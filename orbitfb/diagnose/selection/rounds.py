@@ -78,6 +78,7 @@ def tournament(
     accepted: list[Candidate] = []
     rounds: list[Round] = []
     causes = 0  # what a law finds once more is none of its own
+    odd = 0.0  # a BPM is, before any law is accepted [nats]
     led: Candidate | None = None  # what may be the next cause, in readings that were drawn with it
     space = first = redrawn(space)
     while True:
@@ -93,7 +94,9 @@ def tournament(
             space = space.saturable()  # every floor from here on begins with it
         drawn = bool(space.signals.record.filled.any())
         candidates, bare, lost = refitted(candidates, space, enough)
-        candidates = _last_resort(candidates, not all(map(_of_ground, accepted)), drawn)
+        alone = all(map(_of_ground, accepted))
+        odd = _oddness(candidates) if alone else odd
+        candidates = _last_resort(candidates, None if alone else odd, drawn)
         deaf = _coloured(accepted)
         free = [one for one in scan_free(Scorer.of(bare)) if one.name not in deaf][:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
@@ -208,19 +211,33 @@ def _coloured(accepted: Sequence[Candidate]) -> set[str]:
     return {name for one in accepted if one.coloured for name in one.names}
 
 
-def _last_resort(candidates: list[Candidate], accepted: bool, drawn: bool) -> list[Candidate]:
+def _oddness(candidates: Sequence[Candidate]) -> float:
+    """Evidence that the noise of some BPM is unlike the others' [nats]."""
+    return max((one.evidence for one in candidates if one.noisy and one.courseless), default=0.0)
+
+
+def _last_resort(candidates: list[Candidate], before: float | None, drawn: bool) -> list[Candidate]:
     """Tell that the noise of a BPM is unlike the others' only where nothing else is told.
 
     Whatever a BPM does that is in no law adds to its noise. Where readings were drawn, so does any
     law that is not known yet: nothing of it is in those. A random course is no such law, and how
     much the ground moves leaves a BPM as odd as it is. A law of other devices that makes a BPM odd
-    says more than that it is, but for what the floor may have of the law.
+    says more than that it is, but for what the floor may have of the law. And beside a law that was
+    accepted a BPM is odd that was as odd before: what such a law leaves is a share of that.
+
+    Args:
+        candidates: The best first.
+        before: How odd a BPM was before any law was accepted [nats]; None: none is.
+        drawn: Whether readings were drawn.
     """
-    odd = max((one.evidence for one in candidates if one.noisy and one.courseless), default=0.0)
+    odd = _oddness(candidates)
     others = [one for one in candidates if not (one.noisy and (drawn or one.courseless))]
+    if before is not None:
+        as_before = before > SURE and odd > before / SWALLOWED
+        return candidates if as_before and not drawn else others
     told = [one for one in others if not (_of_ground(one) or (drawn and one.courseless))]
     least = max(SURE, odd / SWALLOWED) if told and told[0].kind.target != "bpm" else SURE
-    return others if accepted or (told and told[0].evidence >= least) else candidates
+    return others if told and told[0].evidence >= least else candidates
 
 
 def _of_ground(one: Candidate) -> bool:

@@ -214,9 +214,9 @@ def test_an_odd_noise_is_told_beside_a_louder_ground_but_not_beside_a_law() -> N
     ground = Candidate(effect("ground-motion-level"), (), (), {"factor": 2.0}, 159.0, noisy=True)
     law = Candidate(effect("bpm-gain"), (3,), ("B3 (x)",), {"gain": 0.1}, 100.0)
     common = Candidate(effect("noise-correlated"), (0,), ("C0 (x)",), {}, 100.0, noisy=True)
-    assert rounds._last_resort([odd, ground], accepted=False, drawn=False) == [odd, ground]
+    assert rounds._last_resort([odd, ground], before=None, drawn=False) == [odd, ground]
     for one in (law, common):
-        assert rounds._last_resort([odd, one], accepted=False, drawn=False) == [one]
+        assert rounds._last_resort([odd, one], before=None, drawn=False) == [one]
 
 
 def test_an_odd_noise_is_told_beside_a_weak_law_of_other_devices() -> None:
@@ -227,8 +227,18 @@ def test_an_odd_noise_is_told_beside_a_weak_law_of_other_devices() -> None:
     )  # fmt: skip
     weak = Candidate(effect("corrector-hysteresis"), (), (), {"width": 3e-5}, 18.8)
     strong = replace(weak, evidence=150.0)
-    assert rounds._last_resort([odd, weak], accepted=False, drawn=False) == [odd, weak]
-    assert rounds._last_resort([odd, strong], accepted=False, drawn=False) == [strong]
+    assert rounds._last_resort([odd, weak], before=None, drawn=False) == [odd, weak]
+    assert rounds._last_resort([odd, strong], before=None, drawn=False) == [strong]
+
+
+def test_beside_a_law_a_bpm_is_odd_that_was_as_odd_before() -> None:
+    """What a law that is a little wrong leaves is a share of what was odd without it."""
+    odd = Candidate(
+        effect("noise-level"), (3,), ("B3 (x)",), {"factor": 2.0}, 212.0,
+        noisy=True, courseless=True,
+    )  # fmt: skip
+    for before, told in ((220.0, [odd]), (2000.0, []), (0.0, [])):
+        assert rounds._last_resort([odd], before=before, drawn=False) == told
 
 
 def test_of_candidates_with_like_evidence_the_weighed_one_leads() -> None:
