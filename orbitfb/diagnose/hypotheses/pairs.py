@@ -1,7 +1,8 @@
 """Laws of two devices: exchanged, coupled, rolled."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -110,6 +111,10 @@ class _Mixed:
             again=again if readings and self.kind.sizes else None,
         )
 
+    def late(self, number: int) -> LatePair:
+        """A pair that begins late."""
+        return LatePair(self.kind, self.law, self.values, number, self.mixing[number])
+
     def weighed(self, scorer: Scorer, numbers: Indices, sizes: Vector, cost: float) -> Candidate:
         """The same, with the evidence that they have.
 
@@ -198,16 +203,18 @@ def _late(mixed: _Mixed, scorer: Scorer, shown: Vector) -> Iterator[Candidate]:
             part shows.
     """
     rows = range(ONSET_MARGIN, scorer.space.transform.rows - ONSET_MARGIN)
-    most = [number for number in np.argsort(-shown)[:_LATE].tolist() if shown[number] > SURE]
-    told: dict[int, Sequence[int]] = {
-        number: range(max(row - 1, rows.start), min(row + 2, rows.stop))
-        for number, row in kicking_pairs(mixed.law, mixed.mixing, scorer)
-    }
-    for number, near in {**told, **dict.fromkeys(most, rows)}.items():
+    if not len(rows):
+        return
+    for number, row in kicking_pairs(mixed.law, mixed.mixing, scorer):
+        near = range(max(row - 1, rows.start), min(row + 2, rows.stop))
         if len(near):
-            mixing = mixed.mixing[number]
-            pair = LatePair(mixed.kind, mixed.law, mixed.values, number, mixing)
-            yield pair.told(scorer, near)
+            yield mixed.late(number).told(scorer, near)
+    for number in np.argsort(-shown)[:_LATE].tolist():
+        worth = float(shown[number]) - float(np.log(len(shown)))
+        if worth > SURE:
+            coarse = mixed.several(scorer.space, np.array([number]), np.ones(1), worth)
+            # Looked at in every row only if it may lead: that takes as long as many laws.
+            yield replace(coarse, field=None, finer=partial(mixed.late(number).told, scorer, rows))
 
 
 def _sets(mixed: _Mixed, scorer: Scorer, gain: Vector) -> Iterator[Candidate]:

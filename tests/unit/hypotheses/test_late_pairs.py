@@ -7,6 +7,7 @@ import pytest
 from benchmarks.recover import columns_of, draw, record_of
 from benchmarks.small_ring import small_ring
 from orbitfb.diagnose.hypotheses.pairs import scan_pairs
+from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.laws import PairLaw
@@ -25,10 +26,8 @@ def test_a_pair_begins_at_its_row(name: str) -> None:
         one for one in all_effects().values() if one.healthy_scatter(record.layout) is not None
     ]
     space = Workspace.of(record, [*healthy, kind])
-    (law,) = space.courses.laws(kind)
-    assert isinstance(law, PairLaw)
-    found = scan_pairs(kind, law, Scorer.of(space))
-    best = max(found, key=lambda one: one.evidence)
+    found = [one for one in candidates_of(space, [kind]) if one.kind is kind]
+    best = found[0]
     struck = columns_of(kind, case.places, record.layout)
     assert set(best.places) == {int(one) for one in struck}
     assert abs(best.onset - ROW) <= 1
@@ -43,4 +42,4 @@ def test_of_a_healthy_record_no_pair_begins_late() -> None:
     space = Workspace.of(record, [effect("corrector-gain"), effect("bpm-gain"), kind])
     (law,) = space.courses.laws(kind)
     assert isinstance(law, PairLaw)
-    assert not [one for one in scan_pairs(kind, law, Scorer.of(space)) if one.onset]
+    assert not [one for one in scan_pairs(kind, law, Scorer.of(space)) if one.onset or one.finer]
