@@ -96,7 +96,8 @@ def tournament(
         candidates, bare, lost = refitted(candidates, space, enough)
         alone = all(map(_of_ground, accepted))
         odd = _oddness(candidates) if alone else odd
-        candidates = _last_resort(candidates, None if alone else odd, drawn)
+        of_bpms = any(one.kind.target == "bpm" for one in accepted)  # one of them says it all
+        candidates = _last_resort(candidates, None if alone else 0.0 if of_bpms else odd, drawn)
         deaf = _coloured(accepted)
         free = [one for one in scan_free(Scorer.of(bare)) if one.name not in deaf][:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
@@ -222,8 +223,8 @@ def _last_resort(candidates: list[Candidate], before: float | None, drawn: bool)
     Whatever a BPM does that is in no law adds to its noise. Where readings were drawn, so does any
     law that is not known yet: nothing of it is in those. A random course is no such law, and how
     much the ground moves leaves a BPM as odd as it is. A law of other devices that makes a BPM odd
-    says more than that it is, but for what the floor may have of the law. And beside a law that was
-    accepted a BPM is odd that was as odd before: what such a law leaves is a share of that.
+    says more than that it is, but for what the floor may have of the law. And beside one of them
+    that was accepted a BPM is odd that was as odd before: what such a law leaves is a share.
 
     Args:
         candidates: The best first.
