@@ -67,9 +67,9 @@ def _sized(best: Candidate, space: Workspace, after: Workspace) -> tuple[Candida
         if before is not None and before[1] != score:
             # What the floor takes of a change is not in the information beside a floor that stays.
             slope = float(np.clip((before[1] - score) / before[0], _SOFTER * slope, slope))
-        step = float(np.clip(score / slope, -_STEP, _STEP))
-        if score**2 < _NEARLY * slope:
+        if score**2 <= _NEARLY * slope or slope <= 0.0:  # where nothing shows of it, it stays
             break
+        step = float(np.clip(score / slope, -_STEP, _STEP))
         before = step, score
         noise = _without(best, after.noise, space.noise)
         best = scaled(best, float(np.exp(step)), space)

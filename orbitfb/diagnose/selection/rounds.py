@@ -228,7 +228,7 @@ def _last_resort(candidates: list[Candidate], before: float | None, drawn: bool)
 
     Args:
         candidates: The best first.
-        before: How odd a BPM was before any law was accepted [nats]; None: none is.
+        before: How odd a BPM was before any law was accepted [nats]; None: no law is yet.
         drawn: Whether readings were drawn.
     """
     odd = _oddness(candidates)
