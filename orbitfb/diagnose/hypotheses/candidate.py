@@ -36,8 +36,8 @@ class Candidate:
         coloured: Whether it says that the noise remembers, which no floor does.
         courseless: Whether its course is whatever the record shows at its place.
         sources: Courses of its devices, if any: their values stay free when it is accepted.
-        spread: Relative standard deviations of its values, where the scan tells them; of others the
-            evidence does once all causes are known.
+        deviations: Relative standard deviations of its values, where the scan tells them; of others
+            the evidence does once all causes are known.
         cost: What its log likelihood, with the best size, is more than its evidence [nats]; None:
             not known yet.
         undone: Undo it in the readings: what that takes off them, as a spectrum of shape (T, n)
@@ -66,7 +66,7 @@ class Candidate:
     coloured: bool = False
     courseless: bool = False
     sources: tuple[Course, ...] = ()
-    spread: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    deviations: Mapping[str, float] = dataclasses.field(default_factory=dict)
     cost: float | None = None
     undone: "Callable[[Workspace], tuple[Matrix, float]] | None" = None
     parts: "tuple[Candidate, ...]" = ()

@@ -63,7 +63,7 @@ def _told(
     else:
         values, field, chosen, struck = _in_runs(kind, scorer, strikes, members)
         counted = float(struck)
-    spread = {kind.parameters[0].name: 1.0 / float(np.sqrt(counted + 1.0 / KNOWN_TO**2))}
+    deviations = {kind.parameters[0].name: 1.0 / float(np.sqrt(counted + 1.0 / KNOWN_TO**2))}
     cost = chosen + float(np.log(1 + len(law.parts))) + VALUE_COST
 
     def again(after: Workspace) -> Candidate:
@@ -72,7 +72,8 @@ def _told(
 
     return Candidate(
         kind, tuple(map(int, members)) if name else (), (name,) if name else (), values,
-        scorer.likelihood(field) - cost, field=field, cost=cost, again=again, spread=spread,
+        scorer.likelihood(field) - cost, field=field, cost=cost, again=again,
+        deviations=deviations,
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from orbitfb.effects.laws import RandomLaw
 from orbitfb.estimation.moments import Moments, weighed_sums
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.priors import (
+    KNOWN_TO,
     MORE,
     RANDOM_VARIANCES,
     STROKE_PLACES,
@@ -192,8 +193,10 @@ def _struck(kind: EffectKind, law: RandomLaw, scorer: Scorer, place: int) -> Can
     whole = _candidate(kind, law, space, place, float(np.mean(strokes**2)), evidence)
     values = {**whole.values, **law.strokes(strokes)}
     known = dict.fromkeys(values, 1.0 / float(np.sqrt(np.count_nonzero(strokes))))
-    known[kind.parameters[0].name] = 1.0 / float(np.sqrt(2.0 * gain))
-    whole = replace(whole, values=values, spread=known)
+    # Strokes that are hardly worth their choice tell their size no better than it was known.
+    shown = max(2.0 * gain, 0.0) + 1.0 / KNOWN_TO**2
+    known[kind.parameters[0].name] = 1.0 / float(np.sqrt(shown))
+    whole = replace(whole, values=values, deviations=known)
     field = space.transform.turn(strokes[:, None]) @ pattern.T
 
     def again(after: Workspace) -> Candidate:

@@ -8,7 +8,7 @@ import numpy as np
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.selection.own_floors import settled
+from orbitfb.diagnose.selection.settled import settled
 from orbitfb.estimation.priors import ALONE, ANYTHING, FIRST_ORDER, MISFIT, NEAREST, SURE
 
 

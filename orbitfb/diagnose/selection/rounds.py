@@ -11,7 +11,8 @@ from orbitfb.diagnose.likelihood.corrected import over, redrawn
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.beside import enough_beside, is_another
 from orbitfb.diagnose.selection.healthy_motion import with_motion
-from orbitfb.diagnose.selection.own_floors import refitted, settled
+from orbitfb.diagnose.selection.own_floors import refitted
+from orbitfb.diagnose.selection.settled import settled
 from orbitfb.diagnose.selection.undecided import drawn_with, leaders, undecided
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.priors import (

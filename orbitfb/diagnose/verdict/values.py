@@ -69,8 +69,8 @@ class Measured:
     def _spread(self, kind: EffectKind, part: Candidate) -> Spread:
         if not kind.parameters:
             return {}
-        if part.spread:
-            return part.spread
+        if part.deviations:
+            return part.deviations
         if part.raised:
             return self._of_scatter(kind, part)
         if part.columns:

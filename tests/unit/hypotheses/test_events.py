@@ -11,7 +11,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.noise.tails import Tails
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.selection.own_floors import settled
+from orbitfb.diagnose.selection.settled import settled
 from orbitfb.estimation.priors import KNOWN_TO
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import (

@@ -11,7 +11,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.selection import own_floors, rounds
+from orbitfb.diagnose.selection import own_floors, rounds, settled
 from orbitfb.diagnose.selection.own_floors import _Rivals, _under, refitted
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import effect
@@ -98,7 +98,7 @@ def test_a_line_is_told_until_it_is_settled(monkeypatch: pytest.MonkeyPatch) -> 
         tellings.append(len(tellings))
         return replace(one, field=np.asarray(one.field) * (1.0 + 0.5 ** len(tellings)))
 
-    monkeypatch.setattr(own_floors, "_told", told)
+    monkeypatch.setattr(settled, "_told", told)
     refitted([line], space)
     assert len(tellings) > 1
 
@@ -205,12 +205,17 @@ def test_a_delay_of_a_loop_that_swings_is_found_beyond_the_best_of_the_scan() ->
     assert accepted[0].values["ticks"] == pytest.approx(2.0, abs=0.05)
 
 
-def test_an_odd_noise_is_told_beside_a_louder_ground_but_not_beside_a_law() -> None:
-    """A law that is not known yet adds to the noise of its BPM, and so does common noise."""
-    odd = Candidate(
-        effect("noise-level"), (3,), ("B3 (x)",), {"factor": 2.0}, 260.0,
+def odd_noise(evidence: float) -> Candidate:
+    """A BPM whose noise is unlike that of the others."""
+    return Candidate(
+        effect("noise-level"), (3,), ("B3 (x)",), {"factor": 2.0}, evidence,
         noisy=True, courseless=True,
     )  # fmt: skip
+
+
+def test_an_odd_noise_is_told_beside_a_louder_ground_but_not_beside_a_law() -> None:
+    """A law that is not known yet adds to the noise of its BPM, and so does common noise."""
+    odd = odd_noise(260.0)
     ground = Candidate(effect("ground-motion-level"), (), (), {"factor": 2.0}, 159.0, noisy=True)
     law = Candidate(effect("bpm-gain"), (3,), ("B3 (x)",), {"gain": 0.1}, 100.0)
     common = Candidate(effect("noise-correlated"), (0,), ("C0 (x)",), {}, 100.0, noisy=True)
@@ -221,10 +226,7 @@ def test_an_odd_noise_is_told_beside_a_louder_ground_but_not_beside_a_law() -> N
 
 def test_an_odd_noise_is_told_beside_a_weak_law_of_other_devices() -> None:
     """A law that makes the noise of a BPM odd says more than that it is."""
-    odd = Candidate(
-        effect("noise-level"), (3,), ("B3 (x)",), {"factor": 2.0}, 212.0,
-        noisy=True, courseless=True,
-    )  # fmt: skip
+    odd = odd_noise(212.0)
     weak = Candidate(effect("corrector-hysteresis"), (), (), {"width": 3e-5}, 18.8)
     strong = replace(weak, evidence=150.0)
     assert rounds._last_resort([odd, weak], before=None, drawn=False) == [odd, weak]
@@ -233,10 +235,7 @@ def test_an_odd_noise_is_told_beside_a_weak_law_of_other_devices() -> None:
 
 def test_beside_a_law_a_bpm_is_odd_that_was_as_odd_before() -> None:
     """What a law that is a little wrong leaves is a share of what was odd without it."""
-    odd = Candidate(
-        effect("noise-level"), (3,), ("B3 (x)",), {"factor": 2.0}, 212.0,
-        noisy=True, courseless=True,
-    )  # fmt: skip
+    odd = odd_noise(212.0)
     for before, told in ((220.0, [odd]), (2000.0, []), (0.0, [])):
         assert rounds._last_resort([odd], before=before, drawn=False) == told
 

@@ -13,7 +13,7 @@ from orbitfb.estimation.priors import VALUE_COST
 _COLOURS = (-0.8, -0.5, -0.25, 0.25, 0.5, 0.8)
 """Correlations from row to row that are scanned."""
 _MOST_KEPT = 0.98
-"""Largest correlation from row to row: of more it is a walk."""
+"""Largest correlation from row to row. By hand: of more it is a walk."""
 
 
 def scan_colour(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate]:

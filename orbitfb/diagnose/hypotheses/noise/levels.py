@@ -171,7 +171,7 @@ def _odd_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
     return [
         Candidate(
             kind, places, names, {name: factor}, gain - VALUE_COST, noisy=True, courseless=True,
-            spread={name: spread},
+            deviations={name: spread},
         )
     ]  # fmt: skip
 

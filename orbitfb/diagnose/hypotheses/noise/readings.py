@@ -13,7 +13,8 @@ from orbitfb.estimation.priors import MORE
 from orbitfb.estimation.transform import Matrix
 
 _STEP = 1.9
-"""Factor from one value that is scanned to the next, at most."""
+"""Factor by which a value may lie beside the one that was scanned. By hand: the next one is a
+factor of two away, or less."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +60,7 @@ def told_finely(one: Candidate, worth: Callable[[float], float]) -> Candidate:
         best, spread = nearby(worth, value, _STEP)
         more = max(worth(best) - worth(value), 0.0)
         return replace(
-            one, values={name: best}, evidence=one.evidence + more, spread={name: spread},
+            one, values={name: best}, evidence=one.evidence + more, deviations={name: spread},
             finer=None,
         )  # fmt: skip
 

@@ -16,9 +16,9 @@ from orbitfb.estimation.priors import BEND, KNOWN_TO, STRENGTHS, STRUCK_SHARES, 
 from orbitfb.estimation.transform import Matrix
 
 _LEAST_LEVEL = 1e-6
-"""Least variance of readings that are not struck, of all of them [1]."""
+"""Least variance of readings that are not struck, of all of them [1]: none is without noise."""
 _LEVEL_TURNS = 8
-"""Turns in which the level of readings that are not struck is told."""
+"""Turns in which the level of readings that are not struck is told. By hand, for time."""
 _MOST_STRUCK = 0.5
 """Largest share of the readings that are struck: of more, the others are the odd ones."""
 
@@ -111,7 +111,7 @@ def scan_tails(kind: EffectKind, scorer: Scorer) -> Candidate:
     def candidate(values: Values, gain: float, spread: Sequence[float] = ()) -> Candidate:
         known = dict(zip(values, spread, strict=False))
         return Candidate(
-            kind, places, told, values, gain - 2 * VALUE_COST, noisy=True, spread=known
+            kind, places, told, values, gain - 2 * VALUE_COST, noisy=True, deviations=known
         )
 
     def finer() -> Candidate:

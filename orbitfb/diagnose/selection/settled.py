@@ -1,0 +1,97 @@
+"""A candidate that is accepted, with the sizes that it has over the floor that it leaves."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.random_laws import of_variance, scaled
+from orbitfb.diagnose.likelihood.corrected import over
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.priors import HEARD, SETTLED, SURE
+from orbitfb.estimation.transform import Matrix
+
+_TURNS = 8
+"""Turns in which the variance of a random cause is told beside the floor that it leaves,
+at most. By hand: eight are enough where half of it was in the floor."""
+_STEP = float(np.log(4.0))
+"""Largest change of the logarithm of a variance in a turn. By hand: twice the size."""
+_SOFTER = 0.1
+"""Least share of the information of a variance that a floor leaves when it gives way. By
+hand."""
+_NEARLY = 0.1
+"""Square of the standard deviations from its best value within which a variance is told: a
+third of one."""
+
+
+def settled(best: Candidate, space: Workspace, spread: bool = True) -> tuple[Candidate, Workspace]:
+    """Accept a candidate, with the sizes that it has over the floor that it leaves.
+
+    Args:
+        best: The candidate.
+        space: Without it.
+        spread: Whether its values may differ a little from device to device.
+    """
+    if best.after is not None:  # it begins at the floor that it has already
+        space = replace(over(space, best.after), trust=space.trust)
+        best = replace(_told(best, best.after), after=None)
+    after = best.accepted(space, spread)
+    for _ in range(HEARD):
+        if best.again is None or best.field is None:
+            break
+        more = _told(best, after)
+        moved = _weight(np.asarray(more.field) - best.field, after)
+        if moved < SURE:  # too little for another cause to be named for it
+            break
+        little = moved < SETTLED**2 * _weight(best.field, after)
+        best, after = more, more.accepted(replace(space, noise=after.noise), spread)
+        if little:
+            break
+    return _sized(best, space, after) if spread else (best, after)
+
+
+def _sized(best: Candidate, space: Workspace, after: Workspace) -> tuple[Candidate, Workspace]:
+    """Tell the variance of a random cause beside the floor that it leaves, by secants.
+
+    A floor that was estimated without it has taken part of it, and gives it back turn by turn.
+
+    Args:
+        best: The cause.
+        space: Without it.
+        after: With it.
+    """
+    before: tuple[float, float] | None = None  # step and score of the turn before
+    for _ in range(_TURNS if best.walk is not None or best.white is not None else 0):
+        score, slope = of_variance(best, after)
+        if before is not None and before[1] != score:
+            # What the floor takes of a change is not in the information beside a floor that stays.
+            slope = float(np.clip((before[1] - score) / before[0], _SOFTER * slope, slope))
+        if score**2 <= _NEARLY * slope or slope <= 0.0:  # where nothing shows of it, it stays
+            break
+        step = float(np.clip(score / slope, -_STEP, _STEP))
+        before = step, score
+        noise = _without(best, after.noise, space.noise)
+        best = scaled(best, float(np.exp(step)), space)
+        after = best.accepted(replace(space, noise=noise))
+    return best, after
+
+
+def _without(best: Candidate, noise: StepNoise, first: StepNoise) -> StepNoise:
+    """A floor without a random cause that is in it, beside what shook before."""
+    walk = noise.walk if best.walk is None else noise.walk - best.walk
+    white = noise.white if best.white is None else noise.white - best.white
+    return replace(noise, walk=walk, white=white, shaken=first.shaken)
+
+
+def _told(one: Candidate, after: Workspace) -> Candidate:
+    """The same with the sizes that it has over the floor that it leaves."""
+    if one.again is None:
+        return one
+    more = one.again(after)
+    return replace(more, cost=one.cost if more.cost is None else more.cost)
+
+
+def _weight(field: Matrix, space: Workspace) -> float:
+    """What a field, shape (T, n) [m], weighs under a floor: twice its evidence [nats]."""
+    return float(np.sum(space.noise.pull(field, space.transform) * field))
