@@ -330,9 +330,9 @@ CERTAIN = 0.9
 LEAST_SPREAD = 0.05
 """Least relative standard deviation of a value [1]: no law is right to better than that, as no
 response is. With it 0.90 of 277 intervals have the truth, with 0.02 0.85 (`benchmarks.intervals
---first 101 --seeds 6`, but for curves of BPMs, quantisation, stuck correctors and lengthening,
-whose values were wrong otherwise). The frequency of a wave is right to better: it belongs to nothing but
-time."""
+--first 101 --seeds 6`, but for curves of BPMs, quantisation, stuck correctors and lengthening:
+their values were wrong otherwise). The frequency of a wave is right to better: it belongs to
+nothing but time."""
 
 BEND = 0.05
 """Relative change of a value by which the curvature of its evidence is taken [1]."""
