@@ -65,9 +65,13 @@ class Moments:
             found.append(cls(total, count, mean))
         return found[0], found[1]
 
+    def squares(self, noise: StepNoise) -> Matrix:
+        """Sums of squares of the modes of a noise by band, shape (B, n)."""
+        return np.einsum("nm,bnk,km->bm", noise.modes, self.total, noise.modes, optimize=True)
+
     def log_density(self, noise: StepNoise) -> float:
         """Log density of the steps under a noise, but for a constant."""
-        square = np.einsum("nm,bnk,km->bm", noise.modes, self.total, noise.modes, optimize=True)
+        square = self.squares(noise)
         variance = noise.variance_at(self.eigenvalue)
         by_band = self.count[:, None] * np.log(variance) + square / variance
         whitened = float(np.linalg.slogdet(noise.modes)[1])

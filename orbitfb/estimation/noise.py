@@ -7,6 +7,8 @@ from scipy.linalg import eigh
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
+from orbitfb.estimation.colour import ramps
+from orbitfb.estimation.priors import OCTAVES
 from orbitfb.estimation.transform import Matrix, StepTransform
 
 
@@ -16,8 +18,8 @@ class StepNoise:
 
     W solves Wᵀ N W = 1, Wᵀ Q W = diag(q): in the modes z W the covariance of a step of frequency f
     is diag(q + λ_f). Where the ground drifts more smoothly than a walk, or springs back, it is
-    diag(q λ_f^(−c/2) + λ_f): motion of spectrum f^(−2−c). The logarithm of the factor is zero on
-    average over all frequencies.
+    diag(q r_f + λ_f). The logarithm of r is zero on average over all frequencies, and changes from
+    one octave to the next (`colour`).
 
     Args:
         walk: Q, shape (n, n) [m²].
@@ -25,13 +27,14 @@ class StepNoise:
         shaken: Part of N that several BPMs have in common, as motion of the beam that is new at
             every row, shape (n, n) [m²]; None: there is none, and N is the noise of each reading
             alone.
-        colour: c; 0: a walk.
+        colour: What ln r changes from one octave of frequency to the next slower one, shape (K,);
+            all zero: a walk.
     """
 
     walk: Matrix
     white: Matrix
     shaken: Matrix | None = None
-    colour: float = 0.0
+    colour: Vector = field(default_factory=lambda: np.zeros(OCTAVES))
     modes: Matrix = field(init=False)
     """W, shape (n, n) [1/m]."""
     ratio: Vector = field(init=False)
@@ -72,7 +75,7 @@ class StepNoise:
 
     def reddened(self, eigenvalue: Vector) -> Vector:
         """Factor of the walk at some λ, same shape."""
-        return np.asarray(eigenvalue ** (-0.5 * self.colour))
+        return np.exp(ramps(eigenvalue) @ self.colour)
 
     def pull(self, spectrum: Matrix, transform: StepTransform) -> Matrix:
         """Ω_f z_f of a spectrum z, Ω = (Q + λN)⁻¹, shape (T, n) [1/m]."""

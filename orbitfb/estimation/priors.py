@@ -17,9 +17,21 @@ LARGEST = 36.0
 bodies of the default ring 2 %. Chosen by hand between ground, whose largest body has a few even
 shares, and a source at one place, which has nearly all; no command calibrates it yet."""
 
-COLOURS = (-1.0, -0.5, 0.5, 1.0, 1.5, 2.0)
-"""Colours c of a ground whose motion has a spectrum f^(−2−c) [1]: from one that springs back to one
-that drifts as smoothly as temperature does. A walk has 0."""
+OCTAVES = 12
+"""Octaves of frequency, from the fastest one on, in which the ground may walk more or less [1]:
+those of a record of 4,000 rows. Slower than that it goes on as in the slowest of them."""
+
+PER_OCTAVE = 0.7
+"""Standard deviation of what the walk's ln(variance) changes from one octave to the next [1]: ln 2,
+one power of the frequency. Motion of spectrum f⁻² becomes one of f⁻¹ or of f⁻³ (flicker)."""
+
+OCTAVES_OF_NOISE = 4
+"""Fastest octaves in which the walk does not rise with frequency [1]: a walk that does is hardly
+told from noise of the readings, which rises with λ. Ground springs back over more rows. By hand."""
+
+MOST_PER_OCTAVE = 1.4
+"""Largest such change [1]: 2 ln 2, two powers of frequency. Motion of spectrum f⁻² becomes white
+or one of f⁻⁴, as a temperature drifts."""
 
 NEIGHBOURS = 3.0
 """BPMs over which the orbit of a place between two correctors is alike, in a ring without places
@@ -314,6 +326,10 @@ STROKE_PLACES = 4
 FREE_LAGS = 5
 """Rows back to which a device's past acts freely: half a second at 10 Hz, longer than supplies and
 BPMs of a slow feedback remember."""
+
+FREE_MEMORIES = (10, 30, 100)
+"""Rows over which what all devices did before may fade [1]: longer than the lags above, and shorter
+than a record. By hand; others lie between."""
 
 FREE_WAVES = 2
 """Half waves over the record by which the size of a device may grow, fade and come back."""

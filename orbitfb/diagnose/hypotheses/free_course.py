@@ -11,11 +11,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.noise.levels import free_level
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.estimation.priors import FREE_LAGS, FREE_WAVES, FREE_WIDTHS, VALUE_COST
+from orbitfb.estimation.priors import (
+    FREE_LAGS,
+    FREE_MEMORIES,
+    FREE_WAVES,
+    FREE_WIDTHS,
+    VALUE_COST,
+)
 from orbitfb.estimation.transform import Matrix, StepTransform
 
 
@@ -46,11 +53,12 @@ def scan_free(scorer: Scorer) -> list[FreeCourse]:
         ("corrector", layout.correctors, layout.response, signals.currents),
     ):
         worth = _worth(scorer, patterns, motion)
-        cost = float(np.log(len(worth))) + VALUE_COST
+        cost = float(np.log(1 + len(worth))) + VALUE_COST
         found += [
             FreeCourse(target, place, devices.label(place), float(worth[place]) - cost)
             for place in range(len(worth))
         ]
+        found.append(FreeCourse(target, -1, "", _alike(scorer, patterns, motion) - cost))
     alike, apart = free_level(scorer)
     cost = float(np.log(1 + len(apart)))
     found.append(FreeCourse("noise", -1, "", alike - cost))
@@ -80,6 +88,37 @@ def _worth(scorer: Scorer, patterns: Matrix, motion: Matrix) -> Vector:
         gain = 0.5 * width**2 * np.einsum("dk,dk->d", pull, solved)
         best = np.maximum(best, gain - 0.5 * np.linalg.slogdet(inner)[1])
     return best
+
+
+def _alike(scorer: Scorer, patterns: Matrix, motion: Matrix) -> float:
+    """Log evidence of a free course that is the same for all devices.
+
+    As it has so few sizes, it may also remember for long.
+    """
+    transform = scorer.space.transform
+    courses = [*_basis(motion, transform), *_fading(motion, transform)]
+    fields = [transform.quick_spectrum(one) @ patterns.T.astype(np.float32) for one in courses]
+    pull, information = scorer.evaluate(fields)
+    eye = np.eye(len(pull))
+    gains = []
+    for width in FREE_WIDTHS:
+        inner = eye + width**2 * information
+        gain = 0.5 * width**2 * float(pull @ np.linalg.solve(inner, pull))
+        gains.append(gain - 0.5 * float(np.linalg.slogdet(inner)[1]))
+    return max(gains)
+
+
+def _fading(motion: Matrix, transform: StepTransform) -> Sequence[Matrix]:
+    """What devices did before, fading over some rows, each (N, D)."""
+    steps = np.zeros_like(motion)
+    steps[transform.step_rows()] = transform.steps(motion)
+    courses = []
+    for rows in FREE_MEMORIES:
+        kept, course = np.exp(-1.0 / rows), np.zeros_like(motion)
+        for part in transform.stretches:
+            course[part] = lfilter([1.0], [1.0, -kept], steps[part], axis=0)
+        courses.append(course)
+    return courses
 
 
 def _basis(motion: Matrix, transform: StepTransform) -> Sequence[Matrix]:

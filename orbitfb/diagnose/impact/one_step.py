@@ -30,12 +30,15 @@ class OneStep:
     """Errors of a prediction one row ahead.
 
     Args:
-        nominal: Of the nominal model, healthy errors in it, shape (T, n) [m].
+        white: Innovations of the nominal model, healthy errors in it, and of the one with the
+            causes, shape (T, n) each.
+        nominal: Of the nominal model, shape (T, n) [m].
         mended: With the causes, shape (T, n) [m].
         floor: Mean square that noise and walk alone leave, shape (n,) [m²].
         windows: Of the record.
     """
 
+    white: tuple[Matrix, Matrix]
     nominal: Matrix
     mended: Matrix
     floor: Vector
@@ -54,10 +57,8 @@ class OneStep:
             healthy: Floor of another time, of about as many rows; the lower one counts.
         """
         transform = its.space.transform
-        before, after = (
-            at_bpms(whitened(one, its.noise, transform), its.noise)
-            for one in (its.nominal, its.left)
-        )
+        nominal, mended = (whitened(one, its.noise, transform) for one in (its.nominal, its.left))
+        before, after = (at_bpms(one, its.noise) for one in (nominal, mended))
         wide, own = its.fitted_shares()
         floor = floor_of(its.noise) * (1.0 - own) / (1.0 - wide)
         readings = independent(its.noise)
@@ -68,7 +69,7 @@ class OneStep:
             there = floor_of(healthy) / (1.0 - wide)
             if np.mean(there) < np.mean(floor) * (1.0 - 3.0 * scatter):
                 floor = there
-        return cls(before, after, floor, windows)
+        return cls((nominal, mended), before, after, floor, windows)
 
     @property
     def above(self) -> tuple[Vector, Vector]:
@@ -133,10 +134,7 @@ def _k_steps(its: Explained, step: OneStep) -> Iterator[KStep]:
     for ahead in AHEAD:
         if ahead > longest // 10:
             return
-        errors = (
-            errors_ahead(spectrum, first, transform, ahead)
-            for spectrum, first in ((its.nominal, step.nominal), (its.left, step.mended))
-        )
+        errors = (errors_ahead(white, noise, transform, ahead) for white in step.white)
         nominal, mended = (1e6 * float(np.sqrt(np.mean(one**2))) for one in errors)
         floor = 1e6 * float(np.sqrt(ratio * np.mean(floor_of(noise, ahead))))
         # Ground that comes back leaves less than a walk does: no error is below the noise in it.

@@ -21,6 +21,7 @@ from orbitfb.diagnose.likelihood.known import Known
 from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
+from orbitfb.estimation.colour import rarity
 from orbitfb.estimation.evidence import NormalPriors, NormalTerms
 from orbitfb.estimation.floor import distance, first_noise, improve, trusted
 from orbitfb.estimation.moments import Moments
@@ -413,4 +414,4 @@ class Workspace:
         """
         apart = 0.5 * self.trust * distance(self.noise.walk, self.shape + self.held)
         uneven = 0.0 if self.reference is not None else self.ground.cost(self.weights)
-        return self.log_likelihood() - apart - uneven
+        return self.log_likelihood() - apart - uneven - rarity(self.noise.colour)

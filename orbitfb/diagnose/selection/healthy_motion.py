@@ -2,26 +2,21 @@
 
 The floor of a record is a walk and the noise of single readings. Some rings also shake faster than
 they are read: vibration and ripple come down on all frequencies alike, and laws that jump to and
-fro would be named for them. The ground of some does not walk but drifts, or springs back, and laws
-of smooth courses would. These are no causes: where one of them says more than the best cause it
-joins the floor, and causes that were accepted are told again over it.
+fro would be named for them. That is no cause: where it says more than the best cause it joins the
+floor, and causes that were accepted are told again over it.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
-from orbitfb.core.signals import Vector
 from orbitfb.diagnose.likelihood.ground import shaken_shapes
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.estimation.floor import improve
 from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
-from orbitfb.estimation.priors import COLOURS, FREELY, SURE, VALUE_COST
+from orbitfb.estimation.priors import FREELY, SURE
 from orbitfb.estimation.shapes import fit_shaken, fit_shapes
-from orbitfb.estimation.transform import Matrix
 
 _TURNS, _ROUNDS = 3, 6
 """Turns in which walk and shaking are fitted one beside the other, and the rounds of each."""
@@ -31,8 +26,6 @@ the floor, as for a candidate (`own_floors.refitted`)."""
 _GLIMPSE = 0.25
 """Share of that which one turn must show before the others are taken: the first has about half of
 what all have, or more (`test_healthy_motion` says so of rings that shake)."""
-_LEVELS = np.geomspace(0.01, 100.0, 41)
-"""Factors of the walk's covariance that are tried for a colour of the ground."""
 
 
 def with_motion(space: Workspace, enough: float) -> Workspace | None:
@@ -42,25 +35,19 @@ def with_motion(space: Workspace, enough: float) -> Workspace | None:
         space: Of a round.
         enough: Evidence of the best cause [nats]: motion goes first unless that is surely likelier.
     """
-    left, scatter = space.unmodelled()
-    base = cache(lambda: space.with_floor().log_posterior())
-    found = []
-    if space.noise.shaken is None:
-        found.append(_shaken(space, left, scatter, base, enough))
-    if not space.noise.colour:
-        found.append(_coloured(space, left, scatter, base, enough))
-    gain, after = max(found, key=lambda one: one[0], default=(0.0, space))
+    if space.noise.shaken is not None:
+        return None
+    gain, after = _shaken(space, enough)
     return after if gain > enough - SURE else None
 
 
-def _shaken(
-    space: Workspace, left: Matrix, scatter: Matrix, base: Callable[[], float], enough: float
-) -> tuple[float, Workspace]:
+def _shaken(space: Workspace, enough: float) -> tuple[float, Workspace]:
     """Motion that is new at every row, and what it is worth [nats].
 
     It has many shapes, of which some follow chance: by as much as they say more of the frequencies
     that they are fitted to than of others. Each half of them tells it for the other.
     """
+    left, scatter = space.unmodelled()
     moments = Moments.of(left, space.transform).beside(scatter)
     soon = _floor(space, moments, True, turns=1)
     if moments.more(soon, space.noise) < _GLIMPSE * _NEAR * enough:
@@ -69,7 +56,7 @@ def _shaken(
     if moments.more(noise, _floor(space, moments, False)) < _NEAR * enough:
         return 0.0, space
     after = space.with_noise(noise).with_floor()
-    gain = after.log_posterior() - base()
+    gain = after.log_posterior() - space.with_floor().log_posterior()
     if gain < enough:
         return gain, after
     chance = 0.0
@@ -84,6 +71,8 @@ def _floor(space: Workspace, moments: Moments, shaken: bool, turns: int = _TURNS
     """Fit a floor to moments, with motion that is new at every row or without."""
     shapes = shaken_shapes(space.signals.record.layout)
     noise, weights, sizes = space.noise, space.weights, None
+    if shaken:  # without it, the colour of the walk stands in for it
+        noise = replace(noise, colour=np.zeros_like(noise.colour))
     for _ in range(turns):
         if shaken:
             noise, sizes = fit_shaken(noise, moments, shapes, sizes, rounds=_ROUNDS)
@@ -91,34 +80,3 @@ def _floor(space: Workspace, moments: Moments, shaken: bool, turns: int = _TURNS
             noise, moments, space.ground, space.held, weights, rounds=_ROUNDS
         )
     return improve(noise, moments, noise.walk, FREELY, space.trust)
-
-
-def _coloured(
-    space: Workspace, left: Matrix, scatter: Matrix, base: Callable[[], float], enough: float
-) -> tuple[float, Workspace]:
-    """A ground of another colour than a walk's, and what it is worth [nats]."""
-    moments = Moments.of(left, space.transform).beside(scatter)
-    square = np.einsum(
-        "nm,bnk,km->bm", space.noise.modes, moments.total, space.noise.modes, optimize=True
-    )
-    worth = {colour: _worth(space.noise, colour, square, moments) for colour in (0.0, *COLOURS)}
-    best = max(worth, key=lambda colour: worth[colour][0])
-    if not best or worth[best][0] - worth[0.0][0] < _NEAR * enough:
-        return 0.0, space
-    level = worth[best][1]
-    noise = replace(space.noise, colour=best, walk=level * space.noise.walk)
-    after = replace(space, weights=level * space.weights).with_noise(noise).with_floor()
-    return after.log_posterior() - base() - VALUE_COST, after
-
-
-def _worth(
-    noise: StepNoise, colour: float, square: Matrix, moments: Moments
-) -> tuple[float, float]:
-    """Log density of modes under a colour at its best level, but for a constant, and that level."""
-    factor = replace(noise, colour=colour).reddened(moments.eigenvalue)
-
-    def density(level: float) -> float:
-        variance: Vector = np.outer(level * factor, noise.ratio) + moments.eigenvalue[:, None]
-        return -0.5 * float(np.sum(moments.count[:, None] * np.log(variance) + square / variance))
-
-    return max((density(level), float(level)) for level in _LEVELS)

@@ -189,12 +189,11 @@ def unknown_of(
             f"The noise of {where} grows or shrinks with how far or how fast the beam moves there, "
             "by a law that is not in the library."
         )
-    elif places:
-        device = {"bpm": "BPM", "corrector": "corrector"}[verdict.left[0].target]
-        text = (
-            f"The rest follows the motion of {device} {places[0]}, by a law that is not in the "
-            "library."
-        )
+    elif verdict.left:
+        first = verdict.left[0]
+        device = {"bpm": "BPM", "corrector": "corrector"}[first.target]
+        where = f"{device} {first.name}" if first.name else f"all {device}s alike"
+        text = f"The rest follows the motion of {where}, by a law that is not in the library."
     elif verdict.state == "named_plus_remainder":
         text = "One effect that is not in the library may make all of it, rest and causes."
     return Unknown(

@@ -45,9 +45,11 @@ def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
         return Judged("unknown" if left else "no_gap", left, nats)
     first = causes[0]
     told = sum(one.evidence for one in causes)
-    freely = rounds[0].free[0].evidence if rounds[0].free else 0.0
-    if freely > first.evidence and freely > SURE:
-        return Judged("unknown", rounds[0].free[:1], freely, explained=told / (told + freely))
+    for one in rounds[0].free:
+        # What all devices do alike may be several causes of the library, one device does one thing.
+        if one.evidence > max(first.evidence if one.name else told, SURE):
+            share = told / (told + one.evidence)
+            return Judged("unknown", (one,), one.evidence, explained=share)
     rest = rounds[-1].left(told) if len(rounds) > 1 else None
     if rest is not None and rest.evidence > max(nats, REMAINDER * told):
         state: State = "unknown" if rest.evidence > told else "named_plus_remainder"

@@ -1,17 +1,22 @@
 """The likelihood of steps in sine transform against dense covariances, and the floor's estimate."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.signal import lfilter
+from scipy.stats import norm
 
 from orbitfb.core.errors import EstimationError
+from orbitfb.estimation.colour import rarity
 from orbitfb.estimation.evidence import NormalPriors, NormalTerms, normal_size
 from orbitfb.estimation.floor import first_noise, improve, trusted
 from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
-from orbitfb.estimation.priors import LARGEST
+from orbitfb.estimation.priors import LARGEST, OCTAVES, PER_OCTAVE
 from orbitfb.estimation.shapes import Shapes, fit_shaken, fit_shapes
-from orbitfb.estimation.transform import StepTransform
+from orbitfb.estimation.transform import Matrix, StepTransform
 
 STARTS = np.zeros(23, dtype=np.bool_)
 STARTS[[0, 9]] = True
@@ -229,7 +234,7 @@ def test_no_body_of_a_healthy_ground_moves_like_all_others_together() -> None:
     _, weights = fit_shapes(noise, moments, shapes, np.zeros((count, count)))
     share = weights * shapes.seen(np.eye(count))
     assert share[8] == max(share[1:])
-    assert share[8] <= 1.1 * LARGEST / len(shapes) * share.sum()
+    assert share[8] <= 1.15 * LARGEST / len(shapes) * share.sum()
     assert share[8] > 0.9 * LARGEST / len(shapes) * share.sum()
 
 
@@ -283,30 +288,56 @@ def test_weight_of_a_step_at_every_row() -> None:
     )
 
 
-@pytest.mark.parametrize("colour", [-1.0, 1.0, 2.0])
-def test_a_coloured_ground_has_the_spectrum_that_it_says(colour: float) -> None:
-    """Motion of spectrum f^(−2−c): its steps have f^(−c), beside those of the noise."""
+def fitted_colour(steps: Matrix, white: float) -> tuple[StepNoise, Moments]:
+    """The floor of readings of a ground with such steps, its colour fitted."""
+    rows, count = steps.shape
+    readings = steps.cumsum(axis=0) + white * np.random.default_rng(2).standard_normal(steps.shape)
+    transform = StepTransform.of(np.arange(rows) == 0, 16)
+    moments = Moments.of(transform.spectrum(readings), transform)
+    level = float(np.mean(steps**2))
+    noise = StepNoise(level * np.eye(count), white**2 * np.eye(count))
+    shapes, none = Shapes((np.eye(count),), np.zeros((count, 0))), np.zeros((count, count))
+    return fit_shapes(noise, moments, shapes, none)[0], moments
+
+
+@pytest.mark.parametrize("power", [-1.0, 1.0, 2.0])
+def test_a_ground_of_another_power_of_the_frequency_is_fitted(power: float) -> None:
+    """Motion of spectrum f^(−2−c): its steps have f^(−c), a factor 2^c from octave to octave."""
     rng = np.random.default_rng(1)
-    rows, white = 4000, 0.01
+    rows = 4000
     frequency = np.fft.rfftfreq(8 * rows)
     frequency[0] = frequency[1]
     drawn = np.fft.rfft(rng.standard_normal((8 * rows, 6)), axis=0)
-    level = (2.0 - 2.0 * np.cos(2.0 * np.pi * frequency)) ** (-0.25 * colour)
+    level = (2.0 - 2.0 * np.cos(2.0 * np.pi * frequency)) ** (-0.25 * power)
     level[0] = 0.0
     steps = np.fft.irfft(drawn * level[:, None], axis=0)[:rows]
-    readings = steps.cumsum(axis=0) + white * rng.standard_normal((rows, 6))
-    starts = np.zeros(rows, dtype=bool)
-    starts[0] = True
-    transform = StepTransform.of(starts, 16)
-    moments = Moments.of(transform.spectrum(readings), transform)
-    noises = [StepNoise(np.eye(6), white**2 * np.eye(6), colour=tried) for tried in (0.0, colour)]
-    plain, right = (moments.log_density(one) for one in noises)
-    assert right - plain > 100.0
-    usual = moments.total.trace(axis1=1, axis2=2) / (6.0 * moments.count)
-    level, walk = np.log(moments.eigenvalue), usual - white**2 * moments.eigenvalue
-    told = np.log(noises[1].reddened(moments.eigenvalue))
-    slope = np.polyfit(level[5:], np.log(walk[5:]), 1)[0]
-    np.testing.assert_allclose(slope, np.polyfit(level[5:], told[5:], 1)[0], atol=0.1)
+    found, moments = fitted_colour(steps, 0.01)
+    np.testing.assert_allclose(np.mean(found.colour[2:6]), power * np.log(2.0), atol=0.1)
+    assert moments.more(found, replace(found, colour=np.zeros(len(found.colour)))) > 100.0
+
+
+@pytest.mark.parametrize("kept", [0.5, 0.2, 0.0])
+def test_a_ground_that_goes_on_as_before_is_fitted(kept: float) -> None:
+    """Steps Δ_n = φ Δ_(n−1) + e_n have variance (1 − φ²)/((1 − φ)² + φ λ) at λ."""
+    rng = np.random.default_rng(3)
+    steps = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], rng.standard_normal((6000, 12)), axis=0)
+    found, _ = fitted_colour(steps, 0.05)
+    at = np.geomspace(1e-4, 3.5, 30)
+    usual = (1.0 - kept**2) / ((1.0 - kept) ** 2 + kept * at)
+    walk = found.reddened(at) * np.trace(found.walk) / len(found.walk)
+    np.testing.assert_allclose(np.log(walk / usual), 0.0, atol=0.2)
+
+
+def test_the_colour_changes_no_mean_level() -> None:
+    """The walk keeps its level: ln r is zero on average over the frequencies."""
+    changes = np.random.default_rng(4).standard_normal(OCTAVES)
+    angle = np.pi * (np.arange(400_000) + 0.5) / 400_000
+    noise = StepNoise(np.eye(1), np.eye(1), colour=changes)
+    mean = np.mean(np.log(noise.reddened(2.0 - 2.0 * np.cos(angle))))
+    assert abs(float(mean)) < 1e-3
+    usual = norm(scale=PER_OCTAVE)
+    less = np.sum(usual.logpdf(0.0) - usual.logpdf(changes))
+    assert rarity(changes) == pytest.approx(float(less))
 
 
 def test_motion_that_is_new_at_every_row_is_told_from_the_noise() -> None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.diagnose.hypotheses.row_sums import moving_root
@@ -16,7 +17,9 @@ from orbitfb.diagnose.report.writing import effects_of
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.verdict.engine import diagnose
 from orbitfb.effects.registry import all_effects
+from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.shapes import Shapes, fit_shapes
 from orbitfb.estimation.transform import StepTransform
 from orbitfb.physics.optics import Matrix
 from orbitfb.records.record import Record
@@ -30,7 +33,13 @@ def answer(record: Record, later: Record | None = None) -> Diagnosis:
 def test_no_gap_is_resolved_where_the_causes_take_nothing_off_the_error() -> None:
     """It was told to shrink by all of 1e-138 pm."""
     errors = np.random.default_rng(5).standard_normal((300, 8))
-    step = OneStep(errors, errors, np.full(8, 1.1 * np.mean(errors**2)), Windows.of(len(errors)))
+    step = OneStep(
+        (errors, errors),
+        errors,
+        errors,
+        np.full(8, 1.1 * np.mean(errors**2)),
+        Windows.of(len(errors)),
+    )
     told = one_step.shrink(step, "the record itself", 1.0, 0.0)
     assert not told.resolved
     assert (told.before_um, told.after_um, told.um) == (0.0, 0.0, 0.0)
@@ -213,7 +222,7 @@ def test_errors_further_ahead_are_those_of_the_state() -> None:
     readings = (walk + rng.standard_normal(rows))[:, None]
     transform = StepTransform.of(np.arange(rows) == 0, exact=True)
     spectrum = transform.spectrum(readings)
-    first = at_bpms(whitened(spectrum, noise, transform), noise)
+    white = whitened(spectrum, noise, transform)
     gain = 1.0 - float(moving_root(noise.ratio)[0])
     state, wanted = float(readings[0, 0]), []
     states = [state]
@@ -221,9 +230,31 @@ def test_errors_further_ahead_are_those_of_the_state() -> None:
         state += gain * (readings[row, 0] - state)
         states.append(state)
     wanted = [readings[row, 0] - states[row - 5] for row in range(5, rows)]
-    found = errors_ahead(spectrum, first, transform, 5)[:, 0]
+    found = errors_ahead(white, noise, transform, 5)[:, 0]
     assert found[100:] == pytest.approx(np.array(wanted)[-len(found) :][100:], abs=1e-6)
     assert float(floor_of(noise, 5)[0]) == pytest.approx(1.0 / (1.0 - gain) + 4 * ratio)
+
+
+@pytest.mark.parametrize("kept", [0.5, 0.3])
+def test_innovations_of_a_ground_that_goes_on_are_white(kept: float) -> None:
+    """Steps Δ_n = φ Δ_(n−1) + e_n: one row ahead e_n is left, two ahead (1 + φ) e_n besides."""
+    rng = np.random.default_rng(8)
+    drawn = rng.standard_normal((8000, 3))
+    steps = lfilter([1.0], [1.0, -kept], drawn, axis=0)
+    transform = StepTransform.of(np.arange(len(steps) + 1) == 0, 16)
+    spectrum = transform.turn(steps)
+    noise = StepNoise(np.eye(3) / (1.0 - kept**2), 1e-6 * np.eye(3))
+    moments, shapes = Moments.of(spectrum, transform), Shapes((np.eye(3),), np.zeros((3, 0)))
+    noise, _ = fit_shapes(noise, moments, shapes, np.zeros((3, 3)))
+    white = whitened(spectrum, noise, transform)
+    near = np.mean(white[1:] * white[:-1]), np.mean(white[2:] * white[:-2])
+    assert np.abs(near).max() < 0.06  # the walk's own filter leaves φ
+    assert float(np.mean(white**2)) == pytest.approx(1.0, abs=0.05)
+    assert at_bpms(white, noise) == pytest.approx(drawn, abs=0.6)
+    np.testing.assert_allclose(floor_of(noise), 1.0, rtol=0.05)
+    np.testing.assert_allclose(floor_of(noise, 2), 1.0 + (1.0 + kept) ** 2, rtol=0.08)
+    far = errors_ahead(white, noise, transform, 2)
+    np.testing.assert_allclose(np.mean(far**2, axis=0), floor_of(noise, 2), rtol=0.06)
 
 
 def test_the_quiet_windows_tell_the_level_where_something_begins_late() -> None:

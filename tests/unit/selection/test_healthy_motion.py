@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.likelihood.workspace import Workspace
@@ -12,11 +13,12 @@ from orbitfb.diagnose.selection.beside import enough_beside
 from orbitfb.diagnose.selection.healthy_motion import _GLIMPSE, _TURNS, _floor
 from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.registry import effect
+from orbitfb.estimation import shapes
 from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.priors import SURE
 from orbitfb.physics.optics import Matrix
 from orbitfb.records.record import Record
-from tests.unit.hypotheses.small_records import NOISE, ROWS, kinds_for, make_record
+from tests.unit.hypotheses.small_records import NOISE, ROWS, kinds_for, make_record, recorded
 
 
 def with_kicks(record: Record, kicks: Matrix) -> Record:
@@ -50,15 +52,37 @@ def drifting() -> Record:
     return with_kicks(record, 0.3 * (smooth - smooth[0]) / smooth.std())
 
 
-@pytest.mark.parametrize(
-    "record",
-    [pytest.param(shaking(1), marks=pytest.mark.nightly), shaking(4), drifting()],
-    ids=["1", "4", "drift"],
-)
-def test_it_is_no_cause(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
+def going_on() -> Record:
+    """A healthy ring in feedback whose ground goes on in the direction of before."""
+    rng = np.random.default_rng(9)
+    layout = make_record(53).layout
+    response, inverse = layout.response, np.linalg.pinv(layout.response)
+    drawn = 5e-2 * rng.standard_normal((ROWS, response.shape[1]))
+    ground = lfilter([1.0], [1.0, -0.5], drawn, axis=0).cumsum(axis=0) @ response.T
+    noise = NOISE * rng.standard_normal(ground.shape)
+    setpoints, readings = np.zeros_like(drawn), np.zeros_like(ground)
+    for row in range(ROWS):
+        readings[row] = ground[row] + response @ setpoints[row] + noise[row]
+        if row + 1 < ROWS:
+            setpoints[row + 1] = setpoints[row] - 0.4 * inverse @ readings[row]
+    return recorded(layout, setpoints, readings)
+
+
+@pytest.mark.parametrize("places", [pytest.param(1, marks=pytest.mark.nightly), 4])
+def test_shaking_is_no_cause(places: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    record = shaking(places)
     assert named(record) == []
     monkeypatch.setattr(rounds, "with_motion", lambda *given: None)
     assert named(record)  # a floor that has no such motion gives it a name
+
+
+@pytest.mark.parametrize("record", [drifting(), going_on()], ids=["drifts", "goes on"])
+def test_ground_that_does_not_walk_is_no_cause(
+    record: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert named(record) == []
+    monkeypatch.setattr(shapes, "fitted_colour", lambda noise, moments: (1.0, noise.colour))
+    assert named(record)  # a floor that can only walk gives it a name
 
 
 @pytest.mark.parametrize("places", [1, 4])

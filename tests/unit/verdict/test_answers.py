@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from orbitfb.diagnose.result.diagnosis import Diagnosis
+from orbitfb.diagnose.result.parts import Shrink
 from orbitfb.diagnose.verdict.engine import diagnose
+from orbitfb.diagnose.verdict.state import Judged, beside_left
 from orbitfb.physics.optics import Matrix
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import NOISE, Bent, lagging, make_record
@@ -129,14 +131,21 @@ def test_what_no_library_has_is_unknown_at_its_device() -> None:
     assert found.unknown.places[0] == "C6 (x)"
 
 
-def test_what_takes_a_part_of_an_effect_that_no_library_has_is_told_with_a_remainder() -> None:
+def test_what_all_devices_do_alike_and_no_library_has_is_unknown() -> None:
+    """A gain of all correctors takes most of it; what is left looks like ground that goes on."""
     found = answer(make_record(24, currents=slow, gain=0.0))
-    assert found.state == "named_plus_remainder"
-    assert (found.causes[0].probability or 1.0) < 0.8
-    assert found.shrink is not None
-    assert (found.shrink.um_high or 1.0) < 0.83
+    assert found.state == "unknown"
     assert found.unknown is not None
-    assert "One effect that is not in the library may make all of it" in found.unknown.text
+    assert "follows the motion of all correctors alike" in found.unknown.text
+
+
+@pytest.mark.parametrize(("most", "state"), [(0.6, "named_plus_remainder"), (1.0, "named")])
+def test_causes_that_leave_much_of_the_gap_are_not_all(most: float, state: str) -> None:
+    """The quiet rows tell what the floor would have for noise."""
+    shrunk = Shrink(nats=0.5, low=0.4, high=most, um=0.3, um_low=0.2, um_high=0.4,
+                    held_out_ticks=100, on="the record itself")  # fmt: skip
+    assert beside_left(Judged("named", (), 0.0), shrunk, True).state == state
+    assert beside_left(Judged("no_gap", (), 0.0), shrunk, True).state == "no_gap"
 
 
 @pytest.mark.nightly

@@ -1,0 +1,109 @@
+"""How the walk of the ground differs from a walk from one octave of frequency to the next.
+
+A walk has steps of one variance at every frequency. Ground that springs back has less of them at
+slow ones, ground that goes on in the direction of before has less at fast ones, one that drifts as
+temperature does has more at slow ones. The logarithm of the variance is free at every octave. Its
+changes from one octave to the next have a normal prior.
+"""
+
+from functools import cache
+
+import numpy as np
+from scipy.linalg import solve
+
+from orbitfb.core.signals import Vector
+from orbitfb.estimation.priors import MOST_PER_OCTAVE, OCTAVES, OCTAVES_OF_NOISE, PER_OCTAVE
+from orbitfb.estimation.transform import Matrix
+
+_MOST = 1.0
+"""Most that the logarithm of the variance changes between two octaves in one step of the fit."""
+
+_CLIMBS = 6
+"""Steps of a fit at most. By hand: Newton's method, begun at the fit before."""
+
+_LEAST_KNOWN = 1e-6
+"""What is known of the level of a walk of which nothing shows: it stays."""
+
+_SETTLED = 1e-3
+"""Change of the logarithm at which a fit ends, far below what a record shows."""
+
+
+def ramps(eigenvalue: Vector) -> Matrix:
+    """What a change between two octaves does to ln(variance) at some λ = 2 − 2 cos ω, (F, K).
+
+    Octave k lies between ω = π 2^(1−k) and π 2^−k. All are zero on average over all ω.
+    """
+    return _ramps(eigenvalue) - _average()
+
+
+def _ramps(eigenvalue: Vector) -> Matrix:
+    angle = np.arccos(np.clip(1.0 - eigenvalue / 2.0, -1.0, 1.0))
+    octave = -np.log2(np.maximum(angle, 1e-9) / np.pi)
+    octaves = np.arange(OCTAVES, dtype=float)
+    return np.clip(octave[:, None] - octaves, 0.0, 1.0)
+
+
+@cache
+def _average() -> Vector:
+    """Over all frequencies, those near zero as fine as those near the fastest, shape (K,)."""
+    edges = np.pi * np.concatenate([[0.0], np.geomspace(2.0**-OCTAVES / 8.0, 1.0, 40 * OCTAVES)])
+    middle = (edges[1:] + edges[:-1]) / 2.0
+    return np.asarray(np.diff(edges) @ _ramps(2.0 - 2.0 * np.cos(middle)) / np.pi)
+
+
+def rarity(changes: Vector) -> float:
+    """What changes from octave to octave, shape (K,), take off the log prior [nats]."""
+    return 0.5 * float(changes @ changes) / PER_OCTAVE**2
+
+
+def changed(
+    ratio: Vector, square: Matrix, count: Vector, eigenvalue: Vector, changes: Vector
+) -> tuple[float, Vector]:
+    """Fit level and changes of a walk to the squares of modes, by Fisher's scoring.
+
+    Args:
+        ratio: Variance of the walk of every mode, in that of its noise, shape (n,).
+        square: Sums of squares of the modes by band, shape (B, n).
+        count: Frequencies of every band, shape (B,).
+        eigenvalue: Mean λ of every band, shape (B,).
+        changes: From octave to octave to begin with, shape (K,).
+
+    Returns:
+        Factor of the walk [1], and the changes of ln(variance), shape (K,).
+    """
+    along = np.column_stack([np.ones(len(eigenvalue)), ramps(eigenvalue)])
+    sizes = np.concatenate([[0.0], changes])
+    known = np.concatenate([[0.0], np.full(len(changes), PER_OCTAVE**-2)])
+    most = np.concatenate([[np.inf], np.full(len(changes), MOST_PER_OCTAVE)])
+    least = np.where(np.arange(len(sizes)) - 1 < OCTAVES_OF_NOISE, 0.0, -most)
+    least[0] = -np.inf
+
+    def likely(sizes: Vector) -> float:
+        total = np.outer(np.exp(along @ sizes), ratio) + eigenvalue[:, None]
+        by_band = count[:, None] * np.log(total) + square / total
+        return -0.5 * float(np.sum(by_band) + known @ sizes**2)
+
+    best = likely(sizes)
+    for _ in range(_CLIMBS):
+        walk = np.outer(np.exp(along @ sizes), ratio)
+        total = walk + eigenvalue[:, None]
+        share = walk / total
+        pull = 0.5 * np.sum(share * (square / total - count[:, None]), axis=1)
+        weight = 0.5 * count * np.sum(share**2, axis=1)
+        curved = (along.T * weight) @ along + np.diag(known)
+        curved[0, 0] += _LEAST_KNOWN
+        slope = along.T @ pull - known * sizes
+        free = np.where(slope > 0.0, sizes < most, sizes > least)
+        step = np.zeros_like(sizes)
+        step[free] = solve(curved[np.ix_(free, free)], slope[free], assume_a="pos")
+        step = np.clip(step, -_MOST, _MOST)
+        while True:
+            tried = np.clip(sizes + step, least, most)
+            more = likely(tried) - best
+            if more > 0.0 or np.max(np.abs(tried - sizes)) <= _SETTLED:
+                break
+            step = step / 2.0
+        if not more > _SETTLED:
+            break
+        sizes, best = tried, best + more
+    return float(np.exp(sizes[0])), sizes[1:]
