@@ -56,16 +56,30 @@ def rarity(changes: Vector) -> float:
     return 0.5 * float(changes @ changes) / PER_OCTAVE**2
 
 
+def choice(ratio: Vector, eigenvalue: Vector, changes: Vector) -> float:
+    """What is lost by having fitted the changes, in Laplace's approximation [nats].
+
+    Args:
+        ratio: Variance of the walk of every mode, in that of its noise, shape (n,).
+        eigenvalue: λ of every frequency, shape (T,).
+        changes: From octave to octave, shape (K,).
+    """
+    along = ramps(eigenvalue)
+    walk = np.outer(np.exp(along @ changes), ratio)
+    weight = 0.5 * np.sum((walk / (walk + eigenvalue[:, None])) ** 2, axis=1)
+    known = PER_OCTAVE**2 * (along.T * weight) @ along
+    return 0.5 * float(np.linalg.slogdet(np.eye(len(changes)) + known)[1])
+
+
 def changed(
-    ratio: Vector, square: Matrix, count: Vector, eigenvalue: Vector, changes: Vector
+    ratio: Vector, square: Matrix, eigenvalue: Vector, changes: Vector
 ) -> tuple[float, Vector]:
     """Fit level and changes of a walk to the squares of modes, by Fisher's scoring.
 
     Args:
         ratio: Variance of the walk of every mode, in that of its noise, shape (n,).
-        square: Sums of squares of the modes by band, shape (B, n).
-        count: Frequencies of every band, shape (B,).
-        eigenvalue: Mean λ of every band, shape (B,).
+        square: Of the modes, shape (T, n).
+        eigenvalue: λ of every frequency, shape (T,).
         changes: From octave to octave to begin with, shape (K,).
 
     Returns:
@@ -80,7 +94,7 @@ def changed(
 
     def likely(sizes: Vector) -> float:
         total = np.outer(np.exp(along @ sizes), ratio) + eigenvalue[:, None]
-        by_band = count[:, None] * np.log(total) + square / total
+        by_band = np.log(total) + square / total
         return -0.5 * float(np.sum(by_band) + known @ sizes**2)
 
     best = likely(sizes)
@@ -88,8 +102,8 @@ def changed(
         walk = np.outer(np.exp(along @ sizes), ratio)
         total = walk + eigenvalue[:, None]
         share = walk / total
-        pull = 0.5 * np.sum(share * (square / total - count[:, None]), axis=1)
-        weight = 0.5 * count * np.sum(share**2, axis=1)
+        pull = 0.5 * np.sum(share * (square / total - 1.0), axis=1)
+        weight = 0.5 * np.sum(share**2, axis=1)
         curved = (along.T * weight) @ along + np.diag(known)
         curved[0, 0] += _LEAST_KNOWN
         slope = along.T @ pull - known * sizes

@@ -7,7 +7,7 @@ from scipy.linalg import eigh
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
-from orbitfb.estimation.colour import ramps
+from orbitfb.estimation.colour import changed, ramps
 from orbitfb.estimation.priors import OCTAVES
 from orbitfb.estimation.transform import Matrix, StepTransform
 
@@ -76,6 +76,21 @@ class StepNoise:
     def reddened(self, eigenvalue: Vector) -> Vector:
         """Factor of the walk at some λ, same shape."""
         return np.exp(ramps(eigenvalue) @ self.colour)
+
+    def recoloured(self, spectrum: Matrix, transform: StepTransform) -> tuple[float, "StepNoise"]:
+        """Fit how much the walk has in every octave of frequency, beside its orbits.
+
+        Args:
+            spectrum: Transformed steps that are walk and noise, shape (T, n) [m].
+            transform: Of the record.
+
+        Returns:
+            Factor by which the walk is larger besides [1], and the same with the other colour.
+        """
+        level, colour = changed(
+            self.ratio, (spectrum @ self.modes) ** 2, transform.eigenvalue, self.colour
+        )
+        return level, replace(self, colour=colour)
 
     def pull(self, spectrum: Matrix, transform: StepTransform) -> Matrix:
         """Ω_f z_f of a spectrum z, Ω = (Q + λN)⁻¹, shape (T, n) [1/m]."""

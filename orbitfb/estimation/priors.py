@@ -25,7 +25,7 @@ PER_OCTAVE = 0.7
 """Standard deviation of what the walk's ln(variance) changes from one octave to the next [1]: ln 2,
 one power of the frequency. Motion of spectrum f⁻² becomes one of f⁻¹ or of f⁻³ (flicker)."""
 
-OCTAVES_OF_NOISE = 4
+OCTAVES_OF_NOISE = 6
 """Fastest octaves in which the walk does not rise with frequency [1]: a walk that does is hardly
 told from noise of the readings, which rises with λ. Ground springs back over more rows. By hand."""
 
@@ -71,6 +71,10 @@ a shape that the ring does not have takes tens of them to fade. By hand."""
 AGAIN = 12
 """Rounds by which the floor's shapes are fitted anew from where they stood: they were fitted
 already, and a cause changes what is left little."""
+
+TURNS = 3
+"""Turns in which the ground's colour and its shapes are fitted one beside the other; the rounds
+above are shared among them. By hand."""
 
 FREELY = 8
 """Steps up the likelihood in which the walk may leave the shapes; chosen by hand: more hardly raise

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.estimation.colour import changed
 from orbitfb.estimation.moments import Moments, at_least, weighed_sums
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.priors import LARGEST
@@ -13,9 +12,6 @@ from orbitfb.estimation.transform import Matrix
 
 _RESTART = 1e-3
 """Share of an even part that a weight begins with at least: one that is zero could not grow."""
-
-_RECOLOURED = 4
-"""Rounds between two fits of the colour of the walk. By hand: its own fit goes to the end."""
 
 _STRIDE = 1.5
 """Power of the ratio by which a weight rises or falls [1]: with 1 a weight that alone makes its
@@ -78,20 +74,6 @@ class Shapes:
         return np.concatenate([broad, single])
 
 
-def fitted_colour(noise: StepNoise, moments: Moments) -> tuple[float, Vector]:
-    """Fit how much the ground walks in every octave of frequency, beside its orbits.
-
-    Args:
-        noise: To begin with.
-        moments: Of what no model explains.
-
-    Returns:
-        Factor of the walk's covariance [1], and its changes from octave to octave, shape (K,).
-    """
-    square = moments.squares(noise)
-    return changed(noise.ratio, square, moments.count, moments.eigenvalue, noise.colour)
-
-
 def fit_shapes(
     noise: StepNoise,
     moments: Moments,
@@ -100,7 +82,7 @@ def fit_shapes(
     weights: Vector | None = None,
     rounds: int = 30,
 ) -> tuple[StepNoise, Vector]:
-    """Fit a walk that is a mixture of shapes, its colour, and one reading noise per BPM.
+    """Fit a walk that is a mixture of shapes, and one reading noise per BPM.
 
     The weights w of Q = Σ w_k F_k and the variances of the noise rise and fall by the ratio of what
     the data pull to what the covariance and the prior expect (T. W. Anderson, Ann. Stat. 1 (1973)
@@ -124,12 +106,8 @@ def fit_shapes(
         weights = _start(noise, moments, shapes, unit)
     share = weights * unit
     weights = np.maximum(weights, _RESTART * share.sum() / len(shapes) / np.maximum(unit, 1e-300))
-    for number in range(rounds):
+    for _ in range(rounds):
         noise = noise.improved(shapes.total(weights) + held, reading)
-        if number % _RECOLOURED == 0:
-            level, colour = fitted_colour(noise, moments)
-            weights = weights * level
-            noise = replace(noise, colour=colour).improved(shapes.total(weights) + held, reading)
         pull, expected, noisy, usual = weighed_sums(noise, moments)
         usually = shapes.seen(expected) + shapes.rarity(unit, weights)
         ratio = np.where(usually > 0.0, shapes.seen(pull) / np.maximum(usually, 1e-300), 0.0)

@@ -42,6 +42,11 @@ class FreeCourse:
     name: str
     evidence: float
 
+    @property
+    def of_all(self) -> bool:
+        """Whether all devices follow it alike: then several causes may be at work."""
+        return self.place < 0 and self.target != "noise"
+
 
 def scan_free(scorer: Scorer) -> list[FreeCourse]:
     """Weigh a free course of every device, and of the level of its noise, the best first."""

@@ -231,15 +231,21 @@ def bent(
         return source, size, worth, field
     share = highest(lambda share: undone(sized(share * size)), _REACH, FINENESS)
     best = within(kind, source.values, share * size)
+
+    def told(its: Course) -> Single:
+        found = np.zeros_like(field)
+        found[:, chosen] = transform.quick_spectrum(taken_off(its, heard)[0])
+        return found
+
+    most = sized(best)
     if len(kind.sizes) > 1:
-        each = _of_all_sizes(kind, sized(best), scorer.space.courses.grid(kind), undone)
-        if undone(each) > undone(sized(best)) + SURE:  # else one factor says as much
-            source, best = each, 1.0
-    told = np.zeros_like(field)
-    told[:, chosen] = transform.quick_spectrum(taken_off(sized(best), heard)[0])
+        most = _of_all_sizes(kind, most, scorer.space.courses.grid(kind), undone)
+    short = max(undone(most) - undone(sized(best)), 0.0)
+    if short > SURE:  # else one factor says nearly as much
+        source, best, short = most, 1.0, 0.0
     # At least: beside errors that stand in for it, and by what the predicted orbit shows of it.
-    least = undone(sized(best)) - density(scorer.pulled[:, chosen[0]] / own)
-    return source, best, max(least, scorer.likelihood(told)), told
+    least = undone(most) - density(scorer.pulled[:, chosen[0]] / own)
+    return source, best, max(least, scorer.likelihood(told(most))) - short, told(sized(best))
 
 
 def _of_all_sizes(

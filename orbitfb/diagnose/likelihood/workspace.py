@@ -37,6 +37,7 @@ from orbitfb.estimation.priors import (
     MATERIAL,
     MOST_STEPS,
     TRUST,
+    TURNS,
     WIDE,
 )
 from orbitfb.estimation.shapes import Shapes, fit_shapes
@@ -250,6 +251,11 @@ class Workspace:
         return self.plain - self.explained - self.bend - self.refining * self.refinement
 
     @property
+    def left(self) -> Matrix:
+        """What the healthy errors leave of it besides, shape (T, n) [m]."""
+        return self.residual - self.terms.contribution(self.priors.mean(self.errors.pull))
+
+    @property
     def variance(self) -> Vector:
         """Prior variance of every column now."""
         usual = variances(self.blocks, self.shares, len(self.terms))
@@ -297,11 +303,21 @@ class Workspace:
         Args:
             rounds: In which the shapes of the walk are fitted, at most.
         """
-        left, scatter = self.unmodelled()
+        full = self.saturable()
+        left, scatter = full.beyond()
         moments = Moments.of(left, self.transform).beside(scatter)
-        mixed, weights = fit_shapes(
-            self.noise, moments, self.ground, self.held, self.weights, rounds=rounds
-        )
+        mixed, weights = self.noise, self.weights
+        # What a loop without dither answers to its ground is hardly told from other ground: its
+        # colour is that of what the model leaves, not of what a saturated one does.
+        coloured = bool(np.any(mixed.colour))
+        turns = TURNS if coloured else 1
+        for _ in range(turns):
+            if coloured:
+                level, mixed = mixed.recoloured(full.left, self.transform)
+                weights = level * weights
+            mixed, weights = fit_shapes(
+                mixed, moments, self.ground, self.held, weights, rounds=rounds // turns
+            )
         shape = mixed.walk - self.held
         if self.reference is not None:
             shape = self.reference.noise.walk
@@ -319,9 +335,12 @@ class Workspace:
 
     def unmodelled(self) -> tuple[Matrix, Matrix]:
         """What a saturated linear model leaves, (T, n) [m], and its own scatter, (B, n, n) [m²]."""
-        space = self.saturable()
-        free = space.known.saturated
-        _, mean, _ = space._fitted(free.priors)
+        return self.saturable().beyond()
+
+    def beyond(self) -> tuple[Matrix, Matrix]:
+        """The same of one that knows already what a saturated model takes (`saturable`)."""
+        free = self.known.saturated
+        _, mean, _ = self._fitted(free.priors)
         return self.residual - self.terms.contribution(mean), free.scatter
 
     def trusting(self) -> "Workspace":

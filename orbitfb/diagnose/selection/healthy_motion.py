@@ -2,16 +2,21 @@
 
 The floor of a record is a walk and the noise of single readings. Some rings also shake faster than
 they are read: vibration and ripple come down on all frequencies alike, and laws that jump to and
-fro would be named for them. That is no cause: where it says more than the best cause it joins the
-floor, and causes that were accepted are told again over it.
+fro would be named for them. The ground of some does not walk: it goes on as before, springs back or
+drifts, and laws of correctors or of smooth courses would. These are no causes: where one of them
+says more than the best cause it joins the floor, and causes that were accepted are told again over
+it.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from orbitfb.diagnose.likelihood.ground import shaken_shapes
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.estimation.colour import choice
 from orbitfb.estimation.floor import improve
 from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
@@ -35,13 +40,17 @@ def with_motion(space: Workspace, enough: float) -> Workspace | None:
         space: Of a round.
         enough: Evidence of the best cause [nats]: motion goes first unless that is surely likelier.
     """
-    if space.noise.shaken is not None:
-        return None
-    gain, after = _shaken(space, enough)
+    base = cache(lambda: space.with_floor().log_posterior())
+    found = []
+    if space.noise.shaken is None:
+        found.append(_shaken(space, base, enough))
+    if not np.any(space.noise.colour):
+        found.append(_coloured(space, base, enough))
+    gain, after = max(found, key=lambda one: one[0], default=(0.0, space))
     return after if gain > enough - SURE else None
 
 
-def _shaken(space: Workspace, enough: float) -> tuple[float, Workspace]:
+def _shaken(space: Workspace, base: Callable[[], float], enough: float) -> tuple[float, Workspace]:
     """Motion that is new at every row, and what it is worth [nats].
 
     It has many shapes, of which some follow chance: by as much as they say more of the frequencies
@@ -56,7 +65,7 @@ def _shaken(space: Workspace, enough: float) -> tuple[float, Workspace]:
     if moments.more(noise, _floor(space, moments, False)) < _NEAR * enough:
         return 0.0, space
     after = space.with_noise(noise).with_floor()
-    gain = after.log_posterior() - space.with_floor().log_posterior()
+    gain = after.log_posterior() - base()
     if gain < enough:
         return gain, after
     chance = 0.0
@@ -71,8 +80,6 @@ def _floor(space: Workspace, moments: Moments, shaken: bool, turns: int = _TURNS
     """Fit a floor to moments, with motion that is new at every row or without."""
     shapes = shaken_shapes(space.signals.record.layout)
     noise, weights, sizes = space.noise, space.weights, None
-    if shaken:  # without it, the colour of the walk stands in for it
-        noise = replace(noise, colour=np.zeros_like(noise.colour))
     for _ in range(turns):
         if shaken:
             noise, sizes = fit_shaken(noise, moments, shapes, sizes, rounds=_ROUNDS)
@@ -80,3 +87,19 @@ def _floor(space: Workspace, moments: Moments, shaken: bool, turns: int = _TURNS
             noise, moments, space.ground, space.held, weights, rounds=_ROUNDS
         )
     return improve(noise, moments, noise.walk, FREELY, space.trust)
+
+
+def _coloured(
+    space: Workspace, base: Callable[[], float], enough: float
+) -> tuple[float, Workspace]:
+    """A ground of another colour than a walk's, and what it is worth [nats]."""
+    left, transform = space.left, space.transform
+    level, noise = space.noise.recoloured(left, transform)
+    plain = space.noise.log_likelihood(left, transform)
+    soon = replace(noise, walk=level * noise.walk).log_likelihood(left, transform) - plain
+    if not np.any(noise.colour) or soon < _NEAR * enough:
+        return 0.0, space
+    after = replace(space, weights=level * space.weights).with_noise(noise).with_floor()
+    its = after.noise
+    gain = after.log_posterior() - base() - choice(its.ratio, transform.eigenvalue, its.colour)
+    return gain, after

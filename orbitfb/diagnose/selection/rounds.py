@@ -118,7 +118,8 @@ def tournament(
             continue
         if causes == ROUNDS or _composed([*accepted, candidates[0]]):
             return accepted, rounds
-        if not accepted and free and free[0].evidence > candidates[0].evidence:
+        unnamed = [one.evidence for one in free if not one.of_all]
+        if not accepted and max(unnamed, default=0.0) > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
         best = candidates[0]
         rivals = undecided(leaders(candidates), space) if waits else []

@@ -45,9 +45,11 @@ def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
         return Judged("unknown" if left else "no_gap", left, nats)
     first = causes[0]
     told = sum(one.evidence for one in causes)
+    # What all devices do alike may be several causes of the library, one device does one thing.
+    named = sum(one.candidates[0].evidence for one in rounds[:-1])
     for one in rounds[0].free:
-        # What all devices do alike may be several causes of the library, one device does one thing.
-        if one.evidence > max(first.evidence if one.name else told, SURE):
+        enough = named + SURE if one.of_all else first.evidence
+        if one.evidence > max(enough, SURE):
             share = told / (told + one.evidence)
             return Judged("unknown", (one,), one.evidence, explained=share)
     rest = rounds[-1].left(told) if len(rounds) > 1 else None

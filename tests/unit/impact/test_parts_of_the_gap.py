@@ -17,9 +17,7 @@ from orbitfb.diagnose.report.writing import effects_of
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.verdict.engine import diagnose
 from orbitfb.effects.registry import all_effects
-from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
-from orbitfb.estimation.shapes import Shapes, fit_shapes
 from orbitfb.estimation.transform import StepTransform
 from orbitfb.physics.optics import Matrix
 from orbitfb.records.record import Record
@@ -244,8 +242,8 @@ def test_innovations_of_a_ground_that_goes_on_are_white(kept: float) -> None:
     transform = StepTransform.of(np.arange(len(steps) + 1) == 0, 16)
     spectrum = transform.turn(steps)
     noise = StepNoise(np.eye(3) / (1.0 - kept**2), 1e-6 * np.eye(3))
-    moments, shapes = Moments.of(spectrum, transform), Shapes((np.eye(3),), np.zeros((3, 0)))
-    noise, _ = fit_shapes(noise, moments, shapes, np.zeros((3, 3)))
+    level, noise = noise.recoloured(spectrum, transform)
+    noise = replace(noise, walk=level * noise.walk)
     white = whitened(spectrum, noise, transform)
     near = np.mean(white[1:] * white[:-1]), np.mean(white[2:] * white[:-2])
     assert np.abs(near).max() < 0.06  # the walk's own filter leaves φ

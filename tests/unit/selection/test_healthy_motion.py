@@ -13,7 +13,6 @@ from orbitfb.diagnose.selection.beside import enough_beside
 from orbitfb.diagnose.selection.healthy_motion import _GLIMPSE, _TURNS, _floor
 from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.registry import effect
-from orbitfb.estimation import shapes
 from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.priors import SURE
 from orbitfb.physics.optics import Matrix
@@ -81,7 +80,7 @@ def test_ground_that_does_not_walk_is_no_cause(
     record: Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert named(record) == []
-    monkeypatch.setattr(shapes, "fitted_colour", lambda noise, moments: (1.0, noise.colour))
+    monkeypatch.setattr(rounds, "with_motion", lambda *given: None)
     assert named(record)  # a floor that can only walk gives it a name
 
 

@@ -136,7 +136,7 @@ def test_what_all_devices_do_alike_and_no_library_has_is_unknown() -> None:
     found = answer(make_record(24, currents=slow, gain=0.0))
     assert found.state == "unknown"
     assert found.unknown is not None
-    assert "follows the motion of all correctors alike" in found.unknown.text
+    assert "alike, by a law that is not in the library" in found.unknown.text
 
 
 @pytest.mark.parametrize(("most", "state"), [(0.6, "named_plus_remainder"), (1.0, "named")])
