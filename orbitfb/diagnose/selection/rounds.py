@@ -97,8 +97,7 @@ def tournament(
         candidates, bare, lost = refitted(candidates, space, enough)
         alone = all(map(_of_ground, accepted))
         odd = _oddness(candidates) if alone else odd
-        of_bpms = any(one.kind.target == "bpm" for one in accepted)  # one of them says it all
-        candidates = _last_resort(candidates, None if alone else 0.0 if of_bpms else odd, drawn)
+        candidates = _last_resort(candidates, None if alone else odd, drawn)
         deaf = _coloured(accepted)
         free = [one for one in scan_free(Scorer.of(bare)) if one.name not in deaf][:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
@@ -239,8 +238,7 @@ def _last_resort(candidates: list[Candidate], before: float | None, drawn: bool)
         as_before = before > SURE and odd > before / SWALLOWED
         return candidates if as_before and not drawn else others
     told = [one for one in others if not (_of_ground(one) or (drawn and one.courseless))]
-    least = max(SURE, odd / SWALLOWED) if told and told[0].kind.target != "bpm" else SURE
-    return others if told and told[0].evidence >= least else candidates
+    return others if told and told[0].evidence >= max(SURE, odd / SWALLOWED) else candidates
 
 
 def _of_ground(one: Candidate) -> bool:
