@@ -75,6 +75,34 @@ def source_patterns(layout: Layout) -> Matrix:
 
 
 @lru_cache(maxsize=8)
+def displacing_names(layout: Layout) -> tuple[str, ...]:
+    """Names of the straights whose devices may displace the beam, plane by plane.
+
+    In a ring that is not known there are none.
+    """
+    if layout.ring is None:
+        return ()
+    quads = layout.ring.names("QUAD")
+    between = [f"{quads[first]} against {quads[last]}" for first, last in straights(layout)]
+    return tuple(f"{name} ({plane})" for plane in layout.planes for name in between)
+
+
+def displacing_patterns(layout: Layout) -> Matrix:
+    """Orbit per kick at the first end of a straight and against it at the last, (n, P) [m/rad].
+
+    It leaves the angle as it was and displaces the beam: the second field integral of a device, as
+    the kick in the middle of `source_patterns` is the first one.
+    """
+    parts: list[Matrix] = [np.zeros((len(layout.bpms), 0))]
+    if layout.ring is not None:
+        first, last = np.array(straights(layout), dtype=np.intp).reshape(-1, 2).T
+        for plane in layout.planes:
+            per_kick = layout.orbit_per_kick("QUAD", plane)
+            parts.append(per_kick[:, first] - per_kick[:, last])
+    return np.hstack(parts)
+
+
+@lru_cache(maxsize=8)
 def straights(layout: Layout) -> tuple[tuple[int, int], ...]:
     """Numbers of the quadrupoles at the ends of every straight that is long, in ring order."""
     ring = layout.known_ring

@@ -96,7 +96,7 @@ def tournament(
         drawn = bool(space.signals.record.filled.any())
         candidates, bare, lost = refitted(candidates, space, enough)
         alone = all(map(_of_ground, accepted))
-        odd = _oddness(candidates) if alone else odd
+        odd = _oddness(candidates, drawn) if alone else odd
         candidates = _last_resort(candidates, None if alone else odd, drawn)
         deaf = _coloured(accepted)
         free = [one for one in scan_free(Scorer.of(bare)) if one.name not in deaf][:FINALISTS]
@@ -213,9 +213,19 @@ def _coloured(accepted: Sequence[Candidate]) -> set[str]:
     return {name for one in accepted if one.coloured for name in one.names}
 
 
-def _oddness(candidates: Sequence[Candidate]) -> float:
-    """Evidence that the noise of some BPM is unlike the others' [nats]."""
-    return max((one.evidence for one in candidates if one.noisy and one.courseless), default=0.0)
+def _is_odd_noise(one: Candidate, drawn: bool) -> bool:
+    """Whether it says no more than that noise is odd, as any law that is not known yet makes it.
+
+    Args:
+        one: In question.
+        drawn: Whether readings were drawn, which have nothing of such a law.
+    """
+    return one.noisy and (drawn or one.courseless)
+
+
+def _oddness(candidates: Sequence[Candidate], drawn: bool) -> float:
+    """Evidence that noise is odd [nats]."""
+    return max((one.evidence for one in candidates if _is_odd_noise(one, drawn)), default=0.0)
 
 
 def _last_resort(candidates: list[Candidate], before: float | None, drawn: bool) -> list[Candidate]:
@@ -232,8 +242,8 @@ def _last_resort(candidates: list[Candidate], before: float | None, drawn: bool)
         before: How odd a BPM was before any law was accepted [nats]; None: no law is yet.
         drawn: Whether readings were drawn.
     """
-    odd = _oddness(candidates)
-    others = [one for one in candidates if not (one.noisy and (drawn or one.courseless))]
+    odd = _oddness(candidates, drawn)
+    others = [one for one in candidates if not _is_odd_noise(one, drawn)]
     if before is not None:
         as_before = before > SURE and odd > before / SWALLOWED
         return candidates if as_before and not drawn else others

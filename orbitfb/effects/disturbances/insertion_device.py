@@ -4,7 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orbitfb.effects.kicks import Moved, source_names, source_patterns, together
+from orbitfb.effects.kicks import (
+    Moved,
+    displacing_names,
+    displacing_patterns,
+    source_names,
+    source_patterns,
+    together,
+)
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.laws import Law, RandomLaw, Signals
 from orbitfb.effects.orbit_kinds import Courses, SourceKind
@@ -28,7 +35,14 @@ class InsertionDevice(SourceKind):
     grows = True
     parameters = (
         Parameter(
-            "kick", "rad", -1e-3, 1e-3, 0.0, 5e-7, "Kick of the closed device, at a gap of 10 mm."
+            "kick",
+            "rad",
+            -1e-3,
+            1e-3,
+            0.0,
+            5e-7,
+            "Kick of the closed device, at a gap of 10 mm; one end against the other where it "
+            "displaces the beam.",
         ),
         Parameter(
             "period",
@@ -140,15 +154,15 @@ class InsertionDevice(SourceKind):
         def course(tick: int) -> float:
             return values["kick"] * min(tick * layout.period / values["duration"], 1.0)
 
-        return Moved(together(source_patterns(layout), places), course)
+        return Moved(together(self.patterns(layout), places), course)
 
     def places_of(self, layout: Layout) -> tuple[str, ...]:
-        """Every quadrupole and corrector, by plane."""
-        return source_names(layout)
+        """Every quadrupole and corrector and every straight, by plane."""
+        return (*source_names(layout), *displacing_names(layout))
 
     def patterns(self, layout: Layout) -> Matrix:
-        """Orbit per kick."""
-        return source_patterns(layout)
+        """Orbit per kick, or per two of opposite sign at the ends of a straight."""
+        return np.hstack([source_patterns(layout), displacing_patterns(layout)])
 
     def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
         """By the gap, or a ramp from the beginning on."""

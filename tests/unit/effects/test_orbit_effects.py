@@ -369,6 +369,18 @@ def test_a_recorded_gap_drives_the_kick(layout):
     assert_allclose(change, np.outer(share * 1e-6, kind.patterns(layout)[:, 2]), atol=1e-15)
 
 
+def test_a_device_with_a_second_field_integral_displaces_the_beam(layout):
+    """Between the ends of a straight, and by its length times the kick."""
+    kind = effect("insertion-device")
+    names, patterns = kind.places_of(layout), kind.patterns(layout)
+    assert len(names) == patterns.shape[1] == len(set(names))
+    against = [name for name in names if " against " in name]
+    assert len(against) > 20
+    first, last = (names.index(f"{end} (x)") for end in against[0][:-4].split(" against "))
+    both = patterns[:, first] - patterns[:, last]
+    assert_allclose(patterns[:, names.index(against[0])], both, rtol=1e-12)
+
+
 def test_every_gap_that_moves_is_tried(layout):
     kind = effect("insertion-device")
     gaps = {f"ID0{k} gap": np.linspace(25e-3, 25e-3 - 5e-3 * k, 4) for k in (2, 0, 1)}
