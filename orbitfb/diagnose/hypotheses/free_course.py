@@ -63,7 +63,8 @@ def scan_free(scorer: Scorer) -> list[FreeCourse]:
             FreeCourse(target, place, devices.label(place), float(worth[place]) - cost)
             for place in range(len(worth))
         ]
-        found.append(FreeCourse(target, -1, "", _alike(scorer, patterns, motion) - cost))
+        if not np.any(scorer.space.noise.colour):  # a loop makes one look like the other
+            found.append(FreeCourse(target, -1, "", _alike(scorer, patterns, motion) - cost))
     alike, apart = free_level(scorer)
     cost = float(np.log(1 + len(apart)))
     found.append(FreeCourse("noise", -1, "", alike - cost))
