@@ -51,9 +51,9 @@ def _average() -> Vector:
     return np.asarray(np.diff(edges) @ _ramps(2.0 - 2.0 * np.cos(middle)) / np.pi)
 
 
-def rarity(changes: Vector) -> float:
-    """What changes from octave to octave, shape (K,), take off the log prior [nats]."""
-    return 0.5 * float(changes @ changes) / PER_OCTAVE**2
+def rarity(changes: Matrix) -> float:
+    """What changes from octave to octave, shape (P, K), take off the log prior [nats]."""
+    return 0.5 * float(np.sum(changes**2)) / PER_OCTAVE**2
 
 
 def choice(ratio: Vector, eigenvalue: Vector, changes: Vector) -> float:

@@ -106,7 +106,8 @@ def weighed_sums(noise: StepNoise, moments: Moments) -> tuple[Matrix, Matrix, Ma
     ):
         inverse = 1.0 / (noise.ratio * factor + eigenvalue)
         seen = inverse[:, None] * square * inverse
-        pull += factor * seen
+        root = np.sqrt(factor)
+        pull += root[:, None] * seen * root
         shaken += eigenvalue * seen
         expected += count * factor * inverse
         usual += count * eigenvalue * inverse

@@ -7,9 +7,9 @@ from scipy.linalg import eigh
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
-from orbitfb.estimation.colour import changed, ramps
+from orbitfb.estimation.colour import changed, choice, ramps
 from orbitfb.estimation.priors import OCTAVES
-from orbitfb.estimation.transform import Matrix, StepTransform
+from orbitfb.estimation.transform import Indices, Matrix, StepTransform
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,9 +17,9 @@ class StepNoise:
     """Walk covariance Q and noise covariance N of n readings, and the modes that part them.
 
     W solves Wᵀ N W = 1, Wᵀ Q W = diag(q): in the modes z W the covariance of a step of frequency f
-    is diag(q + λ_f). Where the ground drifts more smoothly than a walk, or springs back, it is
-    diag(q r_f + λ_f). The logarithm of r is zero on average over all frequencies, and changes from
-    one octave to the next (`colour`).
+    is diag(q + λ_f). Where the ground does not walk but goes on as before, springs back or drifts
+    it is diag(q r_f + λ_f). The logarithm of r is zero on average over all frequencies, and changes
+    from one octave to the next (`colour`); each plane has an r of its own.
 
     Args:
         walk: Q, shape (n, n) [m²].
@@ -27,14 +27,16 @@ class StepNoise:
         shaken: Part of N that several BPMs have in common, as motion of the beam that is new at
             every row, shape (n, n) [m²]; None: there is none, and N is the noise of each reading
             alone.
-        colour: What ln r changes from one octave of frequency to the next slower one, shape (K,);
-            all zero: a walk.
+        colour: What ln r changes from one octave of frequency to the next slower one, of every
+            plane, shape (P, K); all zero: a walk.
+        plane: Number of that of every reading, shape (n,); empty: all have one.
     """
 
     walk: Matrix
     white: Matrix
     shaken: Matrix | None = None
-    colour: Vector = field(default_factory=lambda: np.zeros(OCTAVES))
+    colour: Matrix = field(default_factory=lambda: np.zeros((1, OCTAVES)))
+    plane: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     modes: Matrix = field(init=False)
     """W, shape (n, n) [1/m]."""
     ratio: Vector = field(init=False)
@@ -71,13 +73,21 @@ class StepNoise:
 
     def variance_at(self, eigenvalue: Vector) -> Matrix:
         """Variance of every mode at some λ, shape (F, n)."""
-        return np.outer(self.reddened(eigenvalue), self.ratio) + eigenvalue[:, None]
+        return self.reddened(eigenvalue) * self.ratio + eigenvalue[:, None]
 
-    def reddened(self, eigenvalue: Vector) -> Vector:
-        """Factor of the walk at some λ, same shape."""
-        return np.exp(ramps(eigenvalue) @ self.colour)
+    def reddened(self, eigenvalue: Vector) -> Matrix:
+        """Factor of the walk at some λ, of every mode, shape (F, n)."""
+        return np.exp(ramps(eigenvalue) @ self.colour[self.mode_plane()].T)
 
-    def recoloured(self, spectrum: Matrix, transform: StepTransform) -> tuple[float, "StepNoise"]:
+    def mode_plane(self) -> Indices:
+        """Number of the plane of every mode, shape (n,): of those readings that have most of it."""
+        if not len(self.plane):
+            return np.zeros(len(self.ratio), dtype=np.intp)
+        share = np.diag(self.white)[:, None] * self.modes**2
+        planes = range(len(self.colour))
+        return np.argmax([share[self.plane == one].sum(axis=0) for one in planes], axis=0)
+
+    def recoloured(self, spectrum: Matrix, transform: StepTransform) -> tuple[Vector, "StepNoise"]:
         """Fit how much the walk has in every octave of frequency, beside its orbits.
 
         Args:
@@ -85,12 +95,25 @@ class StepNoise:
             transform: Of the record.
 
         Returns:
-            Factor by which the walk is larger besides [1], and the same with the other colour.
+            Factor by which the walk of every reading is larger besides, shape (n,) [1], and the
+            same with the other colour.
         """
-        level, colour = changed(
-            self.ratio, (spectrum @ self.modes) ** 2, transform.eigenvalue, self.colour
+        square, plane = (spectrum @ self.modes) ** 2, self.mode_plane()
+        fits = [
+            changed(self.ratio[plane == one], square[:, plane == one], transform.eigenvalue, its)
+            for one, its in enumerate(self.colour)
+        ]
+        levels, colours = zip(*fits, strict=True)
+        its = self.plane if len(self.plane) else np.zeros(len(plane), dtype=np.intp)
+        return np.array(levels)[its], replace(self, colour=np.stack(colours))
+
+    def choice_of_colour(self, transform: StepTransform) -> float:
+        """What is lost by having fitted it [nats]."""
+        plane = self.mode_plane()
+        return sum(
+            choice(self.ratio[plane == one], transform.eigenvalue, its)
+            for one, its in enumerate(self.colour)
         )
-        return level, replace(self, colour=colour)
 
     def pull(self, spectrum: Matrix, transform: StepTransform) -> Matrix:
         """Ω_f z_f of a spectrum z, Ω = (Q + λN)⁻¹, shape (T, n) [1/m]."""

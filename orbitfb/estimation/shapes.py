@@ -46,6 +46,18 @@ class Shapes:
             found += weight * one
         return found
 
+    def scaled(self, weights: Vector, levels: Vector) -> Vector:
+        """Weights of shapes whose orbits grow, shape (F,).
+
+        Args:
+            weights: Before, shape (F,); empty: none are known.
+            levels: By how much the variance of each reading grows, shape (n,) [1].
+        """
+        if not len(weights):
+            return weights
+        usual = self.seen(np.eye(len(levels)))
+        return weights * self.seen(np.diag(levels)) / np.maximum(usual, 1e-300)
+
     def rarity(self, unit: Vector, weights: Vector) -> Vector:
         """Twice what one more of each weight takes off the log prior, shape (F,).
 

@@ -156,6 +156,10 @@ class Workspace:
         modelled = record.setpoints @ record.layout.response.T
         residual = record.readings - modelled
         noise = first_noise(transform.steps(residual), ground.broad[0])
+        layout = record.layout
+        plane = np.array([layout.planes.index(one) for one in layout.bpms.planes], dtype=np.intp)
+        colour = np.repeat(noise.colour, len(layout.planes), axis=0)
+        noise = replace(noise, plane=plane, colour=colour)
         orbit = predicted(residual, noise, transform) + modelled
         signals = Signals(record, record.setpoints, orbit)
         terms, blocks = healthy_errors(kinds, signals, transform)
@@ -313,8 +317,8 @@ class Workspace:
         turns = TURNS if coloured else 1
         for _ in range(turns):
             if coloured:
-                level, mixed = mixed.recoloured(full.left, self.transform)
-                weights = level * weights
+                levels, mixed = mixed.recoloured(full.left, self.transform)
+                weights = self.ground.scaled(weights, levels)
             mixed, weights = fit_shapes(
                 mixed, moments, self.ground, self.held, weights, rounds=rounds // turns
             )

@@ -16,7 +16,6 @@ import numpy as np
 
 from orbitfb.diagnose.likelihood.ground import shaken_shapes
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.estimation.colour import choice
 from orbitfb.estimation.floor import improve
 from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
@@ -94,12 +93,14 @@ def _coloured(
 ) -> tuple[float, Workspace]:
     """A ground of another colour than a walk's, and what it is worth [nats]."""
     left, transform = space.left, space.transform
-    level, noise = space.noise.recoloured(left, transform)
-    plain = space.noise.log_likelihood(left, transform)
-    soon = replace(noise, walk=level * noise.walk).log_likelihood(left, transform) - plain
-    if not np.any(noise.colour) or soon < _NEAR * enough:
+    levels, noise = space.noise.recoloured(left, transform)
+    if not np.any(noise.colour):
         return 0.0, space
-    after = replace(space, weights=level * space.weights).with_noise(noise).with_floor()
-    its = after.noise
-    gain = after.log_posterior() - base() - choice(its.ratio, transform.eigenvalue, its.colour)
-    return gain, after
+    root = np.sqrt(levels)
+    soon = replace(noise, walk=root[:, None] * noise.walk * root)
+    glance = soon.log_likelihood(left, transform) - space.noise.log_likelihood(left, transform)
+    if glance < _NEAR * enough:
+        return 0.0, space
+    weights = space.ground.scaled(space.weights, levels)
+    after = replace(space, weights=weights).with_noise(noise).with_floor()
+    return after.log_posterior() - base() - after.noise.choice_of_colour(transform), after

@@ -297,7 +297,7 @@ def fitted_colour(steps: Matrix, white: float) -> tuple[StepNoise, Moments]:
     level = float(np.mean(steps**2))
     noise = StepNoise(level * np.eye(count), white**2 * np.eye(count))
     level, noise = noise.recoloured(transform.spectrum(readings), transform)
-    return replace(noise, walk=level * noise.walk), moments
+    return replace(noise, walk=level[0] * noise.walk), moments
 
 
 @pytest.mark.parametrize("power", [0.0, 1.0, 1.5])
@@ -312,8 +312,8 @@ def test_a_ground_of_another_power_of_the_frequency_is_fitted(power: float) -> N
     level[0] = 0.0
     steps = np.fft.irfft(drawn * level[:, None], axis=0)[:rows]
     found, moments = fitted_colour(steps, 0.01)
-    np.testing.assert_allclose(np.mean(found.colour[2:6]), power * np.log(2.0), atol=0.15)
-    walking = replace(found, colour=np.zeros(len(found.colour)))
+    np.testing.assert_allclose(np.mean(found.colour[0, 2:6]), power * np.log(2.0), atol=0.15)
+    walking = replace(found, colour=0.0 * found.colour)
     assert (moments.more(found, walking) > 100.0) == (power > 0.0)
 
 
@@ -323,8 +323,8 @@ def test_a_ground_that_springs_back_is_fitted() -> None:
     drawn = np.random.default_rng(5).standard_normal((8000, 12))
     steps = np.diff(lfilter([1.0], [1.0, -kept], drawn, axis=0), axis=0)
     found, _ = fitted_colour(steps, 0.05)
-    assert found.colour[8:11].mean() < -0.7
-    assert np.abs(found.colour[:4]).max() < 0.1
+    assert found.colour[0, 8:11].mean() < -0.7
+    assert np.abs(found.colour[0, :4]).max() < 0.1
 
 
 @pytest.mark.parametrize("kept", [0.5, 0.2, 0.0])
@@ -335,16 +335,29 @@ def test_a_ground_that_goes_on_as_before_is_fitted(kept: float) -> None:
     found, _ = fitted_colour(steps, 0.05)
     at = np.geomspace(1e-4, 3.5, 30)
     usual = (1.0 - kept**2) / ((1.0 - kept) ** 2 + kept * at)
-    walk = found.reddened(at) * np.trace(found.walk) / len(found.walk)
+    walk = found.reddened(at)[:, 0] * np.trace(found.walk) / len(found.walk)
     np.testing.assert_allclose(np.log(walk / usual), 0.0, atol=0.2)
+
+
+def test_each_plane_has_a_colour_of_its_own() -> None:
+    """The ground of one goes on, that of the other walks, in readings that are mixed by row."""
+    rng, kept = np.random.default_rng(6), 0.5
+    drawn = rng.standard_normal((6000, 12))
+    drawn[:, ::2] = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], drawn[:, ::2], axis=0)
+    transform = StepTransform.of(np.arange(6001) == 0, 16)
+    noise = StepNoise(np.eye(12), 0.0025 * np.eye(12), None, np.zeros((2, OCTAVES)),
+                      np.arange(12) % 2)  # fmt: skip
+    _, found = noise.recoloured(transform.turn(drawn), transform)
+    assert found.colour[0, :2].min() > 0.4
+    assert np.abs(found.colour[1, :3]).max() < 0.15
 
 
 def test_the_colour_changes_no_mean_level() -> None:
     """The walk keeps its level: ln r is zero on average over the frequencies."""
     changes = np.random.default_rng(4).standard_normal(OCTAVES)
     angle = np.pi * (np.arange(400_000) + 0.5) / 400_000
-    noise = StepNoise(np.eye(1), np.eye(1), colour=changes)
-    mean = np.mean(np.log(noise.reddened(2.0 - 2.0 * np.cos(angle))))
+    noise = StepNoise(np.eye(1), np.eye(1), colour=changes[None])
+    mean = np.mean(np.log(noise.reddened(2.0 - 2.0 * np.cos(angle))[:, 0]))
     assert abs(float(mean)) < 1e-3
     usual = norm(scale=PER_OCTAVE)
     less = np.sum(usual.logpdf(0.0) - usual.logpdf(changes))

@@ -243,7 +243,7 @@ def test_innovations_of_a_ground_that_goes_on_are_white(kept: float) -> None:
     spectrum = transform.turn(steps)
     noise = StepNoise(np.eye(3) / (1.0 - kept**2), 1e-6 * np.eye(3))
     level, noise = noise.recoloured(spectrum, transform)
-    noise = replace(noise, walk=level * noise.walk)
+    noise = replace(noise, walk=level[0] * noise.walk)
     white = whitened(spectrum, noise, transform)
     near = np.mean(white[1:] * white[:-1]), np.mean(white[2:] * white[:-2])
     assert np.abs(near).max() < 0.06  # the walk's own filter leaves φ
