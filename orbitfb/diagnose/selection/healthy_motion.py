@@ -24,6 +24,9 @@ from orbitfb.estimation.shapes import fit_shaken, fit_shapes
 
 _TURNS, _ROUNDS = 3, 6
 """Turns in which walk and shaking are fitted one beside the other, and the rounds of each."""
+_MORE_FLOORS = 6
+"""Times at most that the floor is estimated again once motion has joined it. By hand: walk, noise
+and colour are fitted by turns, and of a colour four or five of them raise the density."""
 _NEAR = 0.5
 """Share of what it has to have that it must have before it gets a floor of its own: half may be in
 the floor, as for a candidate (`own_floors.refitted`)."""
@@ -46,7 +49,18 @@ def with_motion(space: Workspace, enough: float) -> Workspace | None:
     if not np.any(space.noise.colour):
         found.append(_coloured(space, base, enough))
     gain, after = max(found, key=lambda one: one[0], default=(0.0, space))
-    return after if gain > enough - SURE else None
+    return _converged(after) if gain > enough - SURE else None
+
+
+def _converged(space: Workspace) -> Workspace:
+    """The same with a floor that has come to its end: what it lacks would speak for a cause."""
+    for _ in range(_MORE_FLOORS):
+        further = space.with_floor()
+        gain = further.log_posterior() - space.log_posterior()
+        space = further if gain > 0.0 else space
+        if gain < 1.0:
+            break
+    return space
 
 
 def _shaken(space: Workspace, base: Callable[[], float], enough: float) -> tuple[float, Workspace]:

@@ -97,7 +97,8 @@ def tournament(
         candidates, bare, lost = refitted(candidates, space, enough)
         alone = all(map(_of_ground, accepted))
         odd = _oddness(candidates, drawn) if alone else odd
-        candidates = _last_resort(candidates, None if alone else odd, drawn)
+        of_bpms = any(one.kind.target == "bpm" for one in accepted)  # one of them says it all
+        candidates = _last_resort(candidates, None if alone else 0.0 if of_bpms else odd, drawn)
         deaf = _coloured(accepted)
         free = [one for one in scan_free(Scorer.of(bare)) if one.name not in deaf][:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
@@ -234,7 +235,8 @@ def _last_resort(candidates: list[Candidate], before: float | None, drawn: bool)
     Whatever a BPM does that is in no law adds to its noise. Where readings were drawn, so does any
     law that is not known yet: nothing of it is in those. A random course is no such law, and how
     much the ground moves leaves a BPM as odd as it is. A law of other devices that makes a BPM odd
-    says more than that it is, but for what the floor may have of the law. And beside one of them
+    says more than that it is, but for what the floor may have of the law; one of BPMs, told to
+    first order, or of readings that were drawn without it at least a share. And beside one of them
     that was accepted a BPM is odd that was as odd before: what such a law leaves is a share.
 
     Args:
@@ -248,7 +250,10 @@ def _last_resort(candidates: list[Candidate], before: float | None, drawn: bool)
         as_before = before > SURE and odd > before / SWALLOWED
         return candidates if as_before and not drawn else others
     told = [one for one in others if not (_of_ground(one) or (drawn and one.courseless))]
-    return others if told and told[0].evidence >= max(SURE, odd / SWALLOWED) else candidates
+    if not told:
+        return candidates
+    share = REMAINDER if drawn or told[0].kind.target == "bpm" else 1.0 / SWALLOWED
+    return others if told[0].evidence >= max(SURE, share * odd) else candidates
 
 
 def _of_ground(one: Candidate) -> bool:

@@ -215,7 +215,7 @@ def odd_noise(evidence: float) -> Candidate:
 
 def test_an_odd_noise_is_told_beside_a_louder_ground_but_not_beside_a_law() -> None:
     """A law that is not known yet adds to the noise of its BPM, and so does common noise."""
-    odd = odd_noise(190.0)
+    odd = odd_noise(260.0)
     ground = Candidate(effect("ground-motion-level"), (), (), {"factor": 2.0}, 159.0, noisy=True)
     law = Candidate(effect("bpm-gain"), (3,), ("B3 (x)",), {"gain": 0.1}, 100.0)
     common = Candidate(effect("noise-correlated"), (0,), ("C0 (x)",), {}, 100.0, noisy=True)
@@ -224,15 +224,22 @@ def test_an_odd_noise_is_told_beside_a_louder_ground_but_not_beside_a_law() -> N
         assert rounds._last_resort([odd, one], before=None, drawn=False) == [one]
 
 
-@pytest.mark.parametrize("kind", ["corrector-hysteresis", "clock-jitter"])
-@pytest.mark.parametrize("drawn", [False, True])
-def test_an_odd_noise_is_told_beside_a_weak_law(kind: str, drawn: bool) -> None:
-    """A law that makes the noise of a BPM odd says more than that it is."""
-    odd = odd_noise(212.0)
+@pytest.mark.parametrize(
+    ("kind", "drawn", "least"),
+    [
+        ("corrector-hysteresis", False, 0.5),
+        ("corrector-hysteresis", True, 0.03),
+        ("clock-jitter", False, 0.03),
+        ("clock-jitter", True, 0.03),
+    ],
+)
+def test_an_odd_noise_is_told_beside_a_weak_law(kind: str, drawn: bool, least: float) -> None:
+    """A law that makes the noise of a BPM odd says more than that it is, or a share of it."""
+    odd = odd_noise(2000.0)
     if drawn:  # what a few readings that were drawn lack is no more than that
         odd = replace(odd, kind=effect("noise-tails"), courseless=False)
-    weak = Candidate(effect(kind), (), (), {}, 18.8)
-    strong = replace(weak, evidence=150.0)
+    weak = Candidate(effect(kind), (), (), {}, 0.8 * least * 2000.0)
+    strong = replace(weak, evidence=1.2 * least * 2000.0)
     assert rounds._last_resort([odd, weak], before=None, drawn=drawn) == [odd, weak]
     assert rounds._last_resort([odd, strong], before=None, drawn=drawn) == [strong]
 
