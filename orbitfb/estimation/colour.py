@@ -2,8 +2,9 @@
 
 A walk has steps of one variance at every frequency. Ground that springs back has less of them at
 slow ones, ground that goes on in the direction of before has less at fast ones, one that drifts as
-temperature does has more at slow ones. The logarithm of the variance is free at every octave. Its
-changes from one octave to the next have a normal prior.
+temperature does has more at slow ones. The logarithm of the variance is free at every octave, but
+rises with frequency in none of the fastest, where noise of the readings does. Its changes from one
+octave to the next have a normal prior.
 """
 
 from functools import cache
@@ -15,14 +16,16 @@ from orbitfb.core.signals import Vector
 from orbitfb.estimation.priors import MOST_PER_OCTAVE, OCTAVES, OCTAVES_OF_NOISE, PER_OCTAVE
 from orbitfb.estimation.transform import Matrix
 
-_MOST = 1.0
-"""Most that the logarithm of the variance changes between two octaves in one step of the fit."""
+_STEP = 1.0
+"""Most that a logarithm changes in one step of the fit [1]. By hand: Newton's method is right near
+its end, and far from it the direction is."""
 
 _CLIMBS = 6
 """Steps of a fit at most. By hand: Newton's method, begun at the fit before."""
 
 _LEAST_KNOWN = 1e-6
-"""What is known of the level of a walk of which nothing shows: it stays."""
+"""Information on the level of a walk of which nothing shows, so that it stays. By hand: far less
+than one frequency has."""
 
 _SETTLED = 1e-3
 """Change of the logarithm at which a fit ends, far below what a record shows."""
@@ -94,8 +97,7 @@ def changed(
 
     def likely(sizes: Vector) -> float:
         total = np.outer(np.exp(along @ sizes), ratio) + eigenvalue[:, None]
-        by_band = np.log(total) + square / total
-        return -0.5 * float(np.sum(by_band) + known @ sizes**2)
+        return -0.5 * float(np.sum(np.log(total) + square / total) + known @ sizes**2)
 
     best = likely(sizes)
     for _ in range(_CLIMBS):
@@ -110,7 +112,7 @@ def changed(
         free = np.where(slope > 0.0, sizes < most, sizes > least)
         step = np.zeros_like(sizes)
         step[free] = solve(curved[np.ix_(free, free)], slope[free], assume_a="pos")
-        step = np.clip(step, -_MOST, _MOST)
+        step = np.clip(step, -_STEP, _STEP)
         while True:
             tried = np.clip(sizes + step, least, most)
             more = likely(tried) - best

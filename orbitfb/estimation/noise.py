@@ -52,6 +52,8 @@ class StepNoise:
                 "the noise of the readings cannot be estimated: its covariance is singular; "
                 "leave out BPMs that read the same at every row, or give a longer record"
             ) from error
+        if not len(self.plane):
+            object.__setattr__(self, "plane", np.zeros(len(ratio), dtype=np.intp))
         object.__setattr__(self, "ratio", np.maximum(ratio, 0.0))
         object.__setattr__(self, "modes", modes)
         object.__setattr__(self, "log_white", float(np.linalg.slogdet(self.white)[1]))
@@ -81,8 +83,6 @@ class StepNoise:
 
     def mode_plane(self) -> Indices:
         """Number of the plane of every mode, shape (n,): of those readings that have most of it."""
-        if not len(self.plane):
-            return np.zeros(len(self.ratio), dtype=np.intp)
         share = np.diag(self.white)[:, None] * self.modes**2
         planes = range(len(self.colour))
         return np.argmax([share[self.plane == one].sum(axis=0) for one in planes], axis=0)
@@ -104,8 +104,7 @@ class StepNoise:
             for one, its in enumerate(self.colour)
         ]
         levels, colours = zip(*fits, strict=True)
-        its = self.plane if len(self.plane) else np.zeros(len(plane), dtype=np.intp)
-        return np.array(levels)[its], replace(self, colour=np.stack(colours))
+        return np.array(levels)[self.plane], replace(self, colour=np.stack(colours))
 
     def choice_of_colour(self, transform: StepTransform) -> float:
         """What is lost by having fitted it [nats]."""

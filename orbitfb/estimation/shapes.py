@@ -184,7 +184,7 @@ def _start(noise: StepNoise, moments: Moments, shapes: Shapes, unit: Vector) -> 
     white = noise.reading
     share = share / share.sum() * len(white) / np.maximum(unit, 1e-300)
     mixed = noise.improved(shapes.total(share * float(np.mean(white))), white)
-    square = np.einsum("nm,bnk,km->bm", mixed.modes, moments.total, mixed.modes, optimize=True)
+    square = moments.squares(mixed)
     levels = np.geomspace(1e-6, 1e3, 60)
     count, eigenvalue = moments.count[:, None], moments.eigenvalue[:, None]
     ratio = mixed.variance_at(moments.eigenvalue) - eigenvalue

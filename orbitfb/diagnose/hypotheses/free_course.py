@@ -1,10 +1,11 @@
-"""An unknown law: any course of a device that its past, its square and time make, or odd noise.
+"""An unknown law: any course that the past of devices, its square and time make, or odd noise.
 
 The course of a device is a free sum of its own motion now and some rows ago, of its powers, and of
 its motion that grows, fades or swings slowly: a model that knows no law by name. Its sizes have a
 prior whose width the record tells. Where it explains more than every law of the library, what the
 device does is in no library; where it finds more beside a law that was accepted, the device does
-something else besides. So it is with noise whose level follows the beam.
+something else besides. So it is with a course that all BPMs or all correctors have alike, and with
+noise whose level follows the beam.
 """
 
 from collections.abc import Sequence
@@ -63,7 +64,8 @@ def scan_free(scorer: Scorer) -> list[FreeCourse]:
             FreeCourse(target, place, devices.label(place), float(worth[place]) - cost)
             for place in range(len(worth))
         ]
-        if not np.any(scorer.space.noise.colour):  # a loop makes one look like the other
+        # Without dither a loop makes a ground that does not walk look like a law of all devices.
+        if not np.any(scorer.space.noise.colour):
             found.append(FreeCourse(target, -1, "", _alike(scorer, patterns, motion) - cost))
     alike, apart = free_level(scorer)
     cost = float(np.log(1 + len(apart)))

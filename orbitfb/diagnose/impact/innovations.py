@@ -12,11 +12,12 @@ from scipy.signal import oaconvolve
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.row_sums import moving_root
 from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.priors import OCTAVES
 from orbitfb.estimation.transform import Matrix, StepTransform
 
-_LAGS = 4096
-"""Rows over which the spectrum of the ground is taken to be remembered. By hand: longer than its
-slowest octave."""
+_LAGS = 2**OCTAVES
+"""Rows over which the ground is remembered: so many frequencies part its slowest octave from zero
+and from the next."""
 
 
 def whitened(spectrum: Matrix, noise: StepNoise, transform: StepTransform) -> Matrix:

@@ -49,10 +49,9 @@ class Weighed:
     @classmethod
     def of(cls, space: Workspace) -> Self:
         """Weigh what a workspace leaves."""
-        errors, priors, transform = space.errors, space.priors, space.transform
-        left = space.residual - space.terms.contribution(priors.mean(errors.pull))
+        transform, left = space.transform, space.left
         return cls(
-            space, left, space.noise.pull(left, transform), errors, priors,
+            space, left, space.noise.pull(left, transform), space.errors, space.priors,
             space.noise.modes.astype(np.float32),
             (space.noise.modes.T @ space.terms.patterns).astype(np.float32),
             space.noise.inverse_variance(transform).astype(np.float32),

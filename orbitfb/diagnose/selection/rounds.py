@@ -33,7 +33,7 @@ class Round:
     Args:
         space: Before anything of the round was accepted.
         candidates: Every one that was tried.
-        free: Unknown laws of single devices, the most telling first.
+        free: Unknown laws of single devices and of all alike, the most telling first.
     """
 
     space: Workspace

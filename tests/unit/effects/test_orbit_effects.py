@@ -15,6 +15,7 @@ from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.registry import effect
 from orbitfb.physics.optics import energy_orbit, green, rf_orbit
+from orbitfb.physics.places import plane_row
 from orbitfb.physics.response import response
 from orbitfb.physics.sextupoles import SextupoleOrbit
 from orbitfb.records.layout import Devices, Layout
@@ -369,16 +370,32 @@ def test_a_recorded_gap_drives_the_kick(layout):
     assert_allclose(change, np.outer(share * 1e-6, kind.patterns(layout)[:, 2]), atol=1e-15)
 
 
-def test_a_device_with_a_second_field_integral_displaces_the_beam(layout):
-    """Between the ends of a straight, and by its length times the kick."""
+def test_a_device_with_a_second_field_integral_displaces_the_beam(ring, both_planes):
+    """Against the closed orbit of a beam that a straight displaces by its length per kick.
+
+    That is −L ∂G/∂s of the source: Twiss α at its first end follows from the drift, in which the
+    beam goes straight on: √(β₂/β₁) (cos Δφ + α₁ sin Δφ) = 1 and L = √(β₁ β₂) sin Δφ.
+    """
     kind = effect("insertion-device")
-    names, patterns = kind.places_of(layout), kind.patterns(layout)
+    names, patterns = kind.places_of(both_planes), kind.patterns(both_planes)
     assert len(names) == patterns.shape[1] == len(set(names))
-    against = [name for name in names if " against " in name]
-    assert len(against) > 20
-    first, last = (names.index(f"{end} (x)") for end in against[0][:-4].split(" against "))
-    both = patterns[:, first] - patterns[:, last]
-    assert_allclose(patterns[:, names.index(against[0])], both, rtol=1e-12)
+    label = next(name for name in names if " against " in name and name.endswith("(y)"))
+    ends = [ring.table.name.index(name) for name in label[:-4].split(" against ")]
+    row, half_turn = plane_row("y"), np.pi * ring.tune("y")
+    beta, phase = ring.table.beta[row], ring.table.phase[row]
+    (first, second), ahead = beta[ends], phase[ends[1]] - phase[ends[0]]
+    alpha = (np.sqrt(first / second) - np.cos(ahead)) / np.sin(ahead)
+    length = np.sqrt(first * second) * np.sin(ahead)
+    bpms = ring.places("BPM", "y")
+    since = phase[bpms] - phase[ends[0]]
+    beyond = (since < 0.0) | (since > ahead)
+    turned = np.abs(since) - half_turn
+    bent = alpha * np.cos(turned) - np.sign(since) * np.sin(turned)
+    orbit = length * np.sqrt(beta[bpms] / first) * bent / (2.0 * np.sin(half_turn))
+    told = patterns[both_planes.bpms.in_plane("y"), names.index(label)]
+    assert_allclose(told[beyond], orbit[beyond], atol=1e-9 * np.abs(orbit).max())
+    apart = ring.table.s[ends[1]] - ring.table.s[ends[0]]
+    assert_allclose(length, apart, rtol=0.05)
 
 
 def test_every_gap_that_moves_is_tried(layout):
