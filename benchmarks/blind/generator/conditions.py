@@ -14,6 +14,19 @@ from orbitfb.physics.places import Plane, Planes, Ring, split
 Dither = Literal["passive", "white", "shaped"]
 
 
+@dataclass(frozen=True)
+class GroundLaw:
+    """How the ground of a plane moves: m' = keep m + s', s' = on s + chance.
+
+    Args:
+        keep: Share of where it is that it keeps from row to row [1]; 1: it walks.
+        on: Share of its last step that it goes on by [1].
+    """
+
+    keep: float = 1.0
+    on: float = 0.0
+
+
 @dataclass(eq=False)
 class Conditions:
     """Everything about a case but its effect.
@@ -37,6 +50,7 @@ class Conditions:
         reference: (warm + T + 1, n) [m].
         quad_kicks: Of misplaced quadrupoles, by plane, (warm + T + 1, q) [rad].
         ground: Name of the law by which they move.
+        ground_laws: That law, by plane.
         current: Of the beam, (warm + T + 1,) [A].
         gap: Of an insertion device, (warm + T + 1,) [m].
     """
@@ -59,6 +73,7 @@ class Conditions:
     reference: Array
     quad_kicks: dict[Plane, Array]
     ground: str
+    ground_laws: dict[Plane, GroundLaw]
     ground_step: float
     current: Array
     gap: Array

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks.blind.generator.conditions import Conditions, Dither
+from benchmarks.blind.generator.conditions import Conditions, Dither, GroundLaw
 from benchmarks.blind.generator.rings import Array, Lattice, beating_errors
 from orbitfb.physics.places import Plane, Planes, Ring, split
 
@@ -49,6 +49,7 @@ def draw(
         reference=np.zeros((warm + ticks + 1, n)),
         quad_kicks={},
         ground=kind,
+        ground_laws={},
         ground_step=np.exp(rng.uniform(np.log(0.01e-6), np.log(0.08e-6))),
         current=np.zeros(warm + ticks + 1),
         gap=np.zeros(warm + ticks + 1),
@@ -57,7 +58,7 @@ def draw(
     case.dither = _excursions(case, rng)
     standing = np.exp(rng.uniform(np.log(30e-6), np.log(250e-6)))
     for plane in case.all_planes:
-        case.quad_kicks[plane] = wander(case, plane, standing, rng)
+        case.quad_kicks[plane], case.ground_laws[plane] = wander(case, plane, standing, rng)
     case.current = _top_up(case, rng)
     case.gap = _gap(case, rng)
     return case
@@ -101,8 +102,10 @@ def _excursions(case: Conditions, rng: np.random.Generator) -> Array:
     )
 
 
-def wander(case: Conditions, plane: Plane, standing: float, rng: np.random.Generator) -> Array:
-    """Kicks of quadrupoles that stand beside their axes and wander."""
+def wander(
+    case: Conditions, plane: Plane, standing: float, rng: np.random.Generator
+) -> tuple[Array, GroundLaw]:
+    """Kicks of quadrupoles that stand beside their axes and wander, and by what law."""
     lattice, rows = case.lattice, case.rows
     quads = lattice.quads
     strength = lattice.ring.strength("QUAD") * (1 if plane == "x" else -1)
@@ -115,7 +118,9 @@ def wander(case: Conditions, plane: Plane, standing: float, rng: np.random.Gener
         arm = s - np.array([s[girder == g].mean() for g in girder])
         steps = 0.2 * steps + heave[:, girder] + 0.3 * tilt[:, girder] * arm
     on = rng.uniform(0.2, 0.5)
+    law = GroundLaw()
     if case.ground == "going on":
+        law = GroundLaw(on=on)
         for row in range(1, rows):
             steps[row] = on * steps[row - 1] + np.sqrt(1 - on**2) * steps[row]
     steps[0] = 0
@@ -123,6 +128,7 @@ def wander(case: Conditions, plane: Plane, standing: float, rng: np.random.Gener
     steps *= case.ground_step / np.sqrt(np.mean((steps[: min(rows, 400)] @ at_bpms.T) ** 2))
     keep = np.exp(-1 / np.exp(rng.uniform(np.log(300), np.log(10_000))))
     if case.ground == "memory":
+        law = GroundLaw(keep)
         moves = np.empty_like(steps)
         here = np.zeros(len(quads))
         for row in range(rows):
@@ -132,7 +138,7 @@ def wander(case: Conditions, plane: Plane, standing: float, rng: np.random.Gener
         moves = np.cumsum(steps, axis=0)
     still = rng.standard_normal(len(quads))
     still *= standing / np.sqrt(np.mean((at_bpms @ still) ** 2))
-    return (moves + still) * strength
+    return (moves + still) * strength, law
 
 
 def _top_up(case: Conditions, rng: np.random.Generator) -> Array:

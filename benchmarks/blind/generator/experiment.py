@@ -71,7 +71,7 @@ def set_up(case: Conditions, excursion: Array, wait: int, now: int, rng: Any) ->
     begin = case.warm + wait
     case.dither[begin : begin + room] += excursion[:room]
     for plane in case.all_planes:
-        moved = wander(case, plane, 1.0, rng)
+        moved, case.ground_laws[plane] = wander(case, plane, 1.0, rng)
         case.quad_kicks[plane] = moved - moved[0] + case.quad_kicks[plane][now]
     return room
 

@@ -57,7 +57,7 @@ class HealthyGradients:
         for plane in case.all_planes:
             sign = -1.0 if plane == "x" else 1.0
             orbit = case.kick_orbit(lattice.quads, plane) * (sign * scatter)
-            modal = filter_.modes.T @ (orbit / filter_.noise[:, None])
+            modal = (orbit / filter_.noise[:, None]).T @ filter_.modes
             self._planes.append((modal, case.orbit_at(lattice.quads, plane)))
         self._known: Array | None = None
 
@@ -68,7 +68,7 @@ class HealthyGradients:
             white: The change, whitened, shape (rows, modes).
             log: Of the run; what is known of the gradients is computed at the first call.
         """
-        count = self._planes[0][0].shape[1]
+        count = len(self._planes[0][0])
         pull, known = np.zeros(count), np.zeros((count, count))
         for first, block in self.changes(log.setpoints[: len(white)]):
             part = white[first : first + len(block)]
@@ -84,16 +84,16 @@ class HealthyGradients:
     def changes(self, setpoints: Array) -> Iterator[tuple[int, NDArray[np.float32]]]:
         """Whitened changes of some rows by every gradient, each (rows, modes, quadrupoles)."""
         orbits = [setpoints @ at_quads.T for _, at_quads in self._planes]
-        states = [np.zeros_like(modal) for modal, _ in self._planes]
+        states = [np.zeros((3, *modal.shape)) for modal, _ in self._planes]
         share, total = self._filter.gains(len(setpoints))
         block: list[NDArray[np.float32]] = []
         for row in range(len(setpoints)):
-            change = np.zeros_like(states[0])
-            for (modal, _), orbit, state in zip(self._planes, orbits, states, strict=True):
-                new = modal * orbit[row] - state
-                change += new / np.sqrt(total[row])[:, None]
-                state += share[row][:, None] * new
-            block.append(change.astype(np.float32))
+            change = np.zeros_like(self._planes[0][0])
+            for number, ((modal, _), orbit) in enumerate(zip(self._planes, orbits, strict=True)):
+                new = orbit[row][:, None] * modal - self._filter.seen(states[number])
+                change += new / np.sqrt(total[row])
+                states[number] = self._filter.next(states[number], share[row], new)
+            block.append(change.T.astype(np.float32))
             if len(block) == _BLOCK or row == len(setpoints) - 1:
                 yield row + 1 - len(block), np.stack(block)
                 block = []

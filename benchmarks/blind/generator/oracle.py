@@ -1,6 +1,6 @@
 """How well an effect can be seen at all: the same actions with and without it, filtered.
 
-The difference of the two readings, through the Kalman filter of a random walk of the true steps
+The difference of the two readings, through the Kalman filter of ground that moves by its true law
 under the true reading noise, mode by mode, has the squared length d'² = 2 ΔL: what somebody who
 knows the effect exactly, but of the small errors of its devices only how they scatter, gains by it.
 """
@@ -15,41 +15,89 @@ from benchmarks.blind.generator.draft import Law
 from benchmarks.blind.generator.machine import Log, Nature, run
 from benchmarks.blind.generator.rings import Array
 
+UNKNOWN = 1e8
+"""Variance of what nobody knows, in that of a reading [1]."""
+
 
 class Innovations:
-    """The filter of a case."""
+    """The filter of a case: of a walk, or of ground that comes back or goes on.
+
+    The state of a mode has where the ground is, its last step, and an orbit that stays: ground that
+    comes back does so to an orbit that nobody knows. A walk needs none besides its beginning.
+    """
 
     def __init__(self, case: Conditions) -> None:
         self.noise = case.noise
-        walk = np.zeros((len(case.noise),) * 2)
+        powers, laws = [], []
+        self.modes = np.zeros((len(case.noise),) * 2)
         for plane in case.all_planes:
-            kicks = np.diff(case.quad_kicks[plane], axis=0)
-            part = case.bpm_columns(plane)
-            orbit = kicks @ case.lattice.response(case.bpms, case.lattice.quads, plane).T
-            walk[part, part] = orbit.T @ orbit / len(orbit)
-        scaled = walk / np.outer(self.noise, self.noise)
-        power, self.modes = np.linalg.eigh(scaled)
-        self.power = np.maximum(power, 1e-6)
+            law, part = case.ground_laws[plane], case.bpm_columns(plane)
+            moved = case.quad_kicks[plane] - case.quad_kicks[plane][0]
+            steps = moved[1:] - law.keep * moved[:-1]
+            orbit = steps @ case.lattice.response(case.bpms, case.lattice.quads, plane).T
+            orbit = orbit / self.noise[part]
+            power, self.modes[part, part] = np.linalg.eigh(orbit.T @ orbit / len(orbit))
+            powers.append(np.maximum(power, 1e-6))
+            laws += [law] * len(power)
+        self.power = np.concatenate(powers)
+        self._keep, self._on = (
+            np.array([getattr(law, name) for law in laws]) for name in ("keep", "on")
+        )
 
     def whiten(self, difference: Array) -> Array:
         """Turn a difference of readings (rows, n) [m] into whitened innovations."""
         modes = difference / self.noise @ self.modes
-        state = np.zeros(modes.shape[1])
+        state = np.zeros((3, modes.shape[1]))
         white = np.empty_like(modes)
         shares, totals = self.gains(len(modes))
         for row, seen in enumerate(modes):
-            white[row] = (seen - state) / np.sqrt(totals[row])
-            state = state + shares[row] * (seen - state)
+            new = seen - self.seen(state)
+            white[row] = new / np.sqrt(totals[row])
+            state = self.next(state, shares[row], new)
         return white
 
+    def seen(self, state: Array) -> Array:
+        """What a state (3, …, modes) shows, shape (…, modes)."""
+        return state[0] + state[2]
+
+    def next(self, state: Array, share: Array, new: Array) -> Array:
+        """State (3, …, modes) of the next row, once an innovation (…, modes) is known."""
+        place, step, still = (
+            before + known * new for before, known in zip(state, share, strict=True)
+        )
+        step = self._on * step
+        return np.stack([self._keep * place + step, step, still])
+
     def gains(self, rows: int) -> tuple[Array, Array]:
-        """Give the gain of every row and mode and the variance of its innovation, (rows, n)."""
-        doubt = np.full(len(self.power), 1e8)
-        shares, totals = np.empty((rows, len(doubt))), np.empty((rows, len(doubt)))
+        """Give the gain of every row and mode and the variance of its innovation.
+
+        Returns:
+            Shape (rows, 3, modes), and shape (rows, modes).
+        """
+        count = len(self.power)
+        walks = self._keep == 1.0
+        doubt = np.zeros((3, 3, count))
+        doubt[0, 0] = np.where(walks, UNKNOWN, self.power / np.maximum(1 - self._keep**2, 1e-9))
+        doubt[1, 1] = self.power
+        doubt[2, 2] = np.where(walks, 0.0, UNKNOWN)
+        fresh = (1 - self._on**2) * self.power
+        shares, totals = np.empty((rows, 3, count)), np.empty((rows, count))
         for row in range(rows):
-            totals[row] = doubt + 1.0
-            shares[row] = doubt / totals[row]
-            doubt = doubt * (1 - shares[row]) + self.power
+            along = doubt[:, 0] + doubt[:, 2]
+            totals[row] = along[0] + along[2] + 1.0
+            shares[row] = along / totals[row]
+            left = doubt - along[:, None] * along / totals[row]
+            step = self._on**2 * left[1, 1] + fresh
+            place = self._keep**2 * left[0, 0] + 2 * self._keep * self._on * left[0, 1] + step
+            both = self._keep * self._on * left[0, 1] + step
+            still = self._keep * left[0, 2] + self._on * left[1, 2]
+            doubt = np.array(
+                [
+                    [place, both, still],
+                    [both, step, self._on * left[1, 2]],
+                    [still, self._on * left[1, 2], left[2, 2]],
+                ]
+            )
         return shares, totals
 
 

@@ -14,7 +14,7 @@ from benchmarks.blind.figures import wilson
 from benchmarks.blind.generator.cases import MAKERS, Spec, choose, make
 from benchmarks.blind.generator.conditions import Conditions, second_ring
 from benchmarks.blind.generator.draft import invented, known
-from benchmarks.blind.generator.drawing import draw, wander
+from benchmarks.blind.generator.drawing import GROUND, draw, wander
 from benchmarks.blind.generator.generate import opaque, seal, write_case
 from benchmarks.blind.generator.healthy import HealthyGradients
 from benchmarks.blind.generator.machine import Nature, run
@@ -108,7 +108,7 @@ def step_answer(effect: Nature, case: Conditions, rows: int) -> np.ndarray:
 def test_steps_of_the_ground_go_on_where_it_says_so(
     case: Conditions, ground: str, least: float, most: float
 ) -> None:
-    kicks = wander(replace(case, ground=ground), "x", 1e-4, np.random.default_rng(4))
+    kicks, _ = wander(replace(case, ground=ground), "x", 1e-4, np.random.default_rng(4))
     steps = np.diff(kicks, axis=0)[1:]
     assert least < np.sum(steps[1:] * steps[:-1]) / np.sum(steps**2) < most
 
@@ -266,13 +266,43 @@ def test_an_effect_has_the_same_luck_alone_as_in_its_pair(case: Conditions) -> N
     assert np.any(first.luck != pair.luck)
 
 
-def test_innovations_of_the_true_noise_are_white(case: Conditions) -> None:
-    rows = 400
-    rng = np.random.default_rng(0)
-    filter_ = Innovations(case)
-    walk = np.cumsum(rng.standard_normal((rows, len(case.noise))) * np.sqrt(filter_.power), axis=0)
-    orbit = (walk @ filter_.modes.T) * filter_.noise
-    white = filter_.whiten(orbit + rng.standard_normal(orbit.shape) * filter_.noise)[50:]
+@pytest.mark.parametrize("ground", GROUND)
+def test_what_a_change_is_worth_is_its_density_in_the_noise_of_all_rows(
+    case: Conditions, ground: str
+) -> None:
+    rows, rng = 300, np.random.default_rng(5)
+    case = replace(case, ground=ground, quad_kicks={}, ground_laws={})
+    case.quad_kicks["x"], case.ground_laws["x"] = wander(case, "x", 1e-4, rng)
+    filter_, law = Innovations(case), case.ground_laws["x"]
+    kick = np.linspace(0.0, 1e-7, rows)[:, None] * case.kick_orbit(case.lattice.quads[:1], "x").T
+    # Where the ground is after each of the steps that chance makes, and what is not known of it.
+    powers = np.arange(rows)
+    walk = (
+        np.cumsum(np.eye(rows), axis=0)
+        if law.keep == 1
+        else law.keep ** np.subtract.outer(powers, powers).clip(0) * np.tri(rows)
+    )
+    steps = law.on ** np.abs(np.subtract.outer(powers, powers))
+    ground_of_all = walk @ steps @ walk.T
+    if law.keep < 1:  # as it was before the first row
+        ground_of_all += (
+            np.outer(law.keep**powers, law.keep**powers) * law.keep**2 / (1 - law.keep**2)
+        )
+    worth = sum(
+        mode @ np.linalg.solve(power * ground_of_all + 1e8 + np.eye(rows), mode)
+        for mode, power in zip((kick / filter_.noise @ filter_.modes).T, filter_.power, strict=True)
+    )
+    assert np.sum(filter_.whiten(kick) ** 2) == pytest.approx(worth, rel=1e-4)
+
+
+@pytest.mark.parametrize("ground", GROUND)
+def test_innovations_of_the_true_ground_are_white(case: Conditions, ground: str) -> None:
+    case = replace(case, ground=ground, quad_kicks={}, ground_laws={})
+    rng = np.random.default_rng(4)
+    case.quad_kicks["x"], case.ground_laws["x"] = wander(case, "x", 1e-4, rng)
+    moved = case.moved_at_bpms()
+    readings = moved + rng.standard_normal(moved.shape) * case.noise
+    white = Innovations(case).whiten(readings)[50:]
     assert np.var(white) == pytest.approx(1.0, abs=0.02)
     assert abs(np.mean(white[1:] * white[:-1])) < 0.02
 
