@@ -332,7 +332,7 @@ FREE_LAGS = 5
 BPMs of a slow feedback remember."""
 
 FREE_MEMORIES = (10, 30, 100)
-"""Rows over which what all devices did before may fade [1]: longer than the lags above, and shorter
+"""Rows over which what devices did before may fade [1]: longer than the lags above, and shorter
 than a record. By hand; others lie between."""
 
 FREE_WAVES = 2

@@ -1,11 +1,11 @@
 """An unknown law: any course that the past of devices, its square and time make, or odd noise.
 
-The course of a device is a free sum of its own motion now and some rows ago, of its powers, and of
-its motion that grows, fades or swings slowly: a model that knows no law by name. Its sizes have a
-prior whose width the record tells. Where it explains more than every law of the library, what the
-device does is in no library; where it finds more beside a law that was accepted, the device does
-something else besides. So it is with a course that all BPMs or all correctors have alike, and with
-noise whose level follows the beam.
+The course of a device is a free sum of its own motion now and some rows ago, of what fades slowly
+of it, of its powers, and of its motion that grows, fades or swings slowly: a model that knows no
+law by name. Its sizes have a prior whose width the record tells. Where it explains more than every
+law of the library, what the device does is in no library; where it finds more beside a law that was
+accepted, the device does something else besides. So it is with a course that the devices of a cell,
+or all BPMs or all correctors, have alike, and with noise whose level follows the beam.
 """
 
 from collections.abc import Sequence
@@ -24,33 +24,34 @@ from orbitfb.estimation.priors import (
     FREE_WIDTHS,
     VALUE_COST,
 )
-from orbitfb.estimation.transform import Matrix, StepTransform
+from orbitfb.estimation.transform import Indices, Matrix, StepTransform
+from orbitfb.records.layout import Devices
 
 
 @dataclass(frozen=True, slots=True)
 class FreeCourse:
-    """What a free course of a device explains.
+    """What a free course of devices explains.
 
     Args:
         target: `bpm`, `corrector`, or `noise` for the level of a BPM's noise.
-        place: Its number; −1: all of them alike.
-        name: Of the device; empty: all of them alike.
-        evidence: Log evidence less the choice of device and width [nats].
+        names: Of the devices that follow it alike; empty: all of them.
+        cell: That they are, if several and not all are.
+        evidence: Log evidence less the choice of devices and width [nats].
     """
 
     target: str
-    place: int
-    name: str
+    names: tuple[str, ...]
     evidence: float
+    cell: str = ""
 
     @property
     def of_all(self) -> bool:
         """Whether all devices follow it alike: then several causes may be at work."""
-        return self.place < 0 and self.target != "noise"
+        return not self.names and self.target != "noise"
 
 
 def scan_free(scorer: Scorer) -> list[FreeCourse]:
-    """Weigh a free course of every device, and of the level of its noise, the best first."""
+    """Weigh a free course of every device and cell, and of the level of noise, the best first."""
     signals = scorer.space.signals
     layout = signals.record.layout
     found: list[FreeCourse] = []
@@ -58,62 +59,91 @@ def scan_free(scorer: Scorer) -> list[FreeCourse]:
         ("bpm", layout.bpms, np.eye(len(layout.bpms)), signals.orbit),
         ("corrector", layout.correctors, layout.response, signals.currents),
     ):
-        worth = _worth(scorer, patterns, motion)
-        cost = float(np.log(1 + len(worth))) + VALUE_COST
-        found += [
-            FreeCourse(target, place, devices.label(place), float(worth[place]) - cost)
-            for place in range(len(worth))
-        ]
+        basis = _basis(motion, scorer.space.transform)
+        cells = _cells(devices)
+        cost = float(np.log(1 + len(devices) + len(cells))) + VALUE_COST
+        for (cell, members), worth in zip(
+            [*(("", np.array([place])) for place in range(len(devices))), *cells],
+            _worth(scorer, patterns, basis, [members for _, members in cells]),
+            strict=True,
+        ):
+            names = tuple(devices.label(place) for place in members)
+            found.append(FreeCourse(target, names, float(worth) - cost, cell))
         # Without dither a loop makes a ground that does not walk look like a law of all devices.
         if not np.any(scorer.space.noise.colour):
-            found.append(FreeCourse(target, -1, "", _alike(scorer, patterns, motion) - cost))
+            found.append(FreeCourse(target, (), _alike(scorer, patterns, basis) - cost))
     alike, apart = free_level(scorer)
     cost = float(np.log(1 + len(apart)))
-    found.append(FreeCourse("noise", -1, "", alike - cost))
+    found.append(FreeCourse("noise", (), alike - cost))
     found += [
-        FreeCourse("noise", place, layout.bpms.label(place), float(worth) - cost)
+        FreeCourse("noise", (layout.bpms.label(place),), float(worth) - cost)
         for place, worth in enumerate(apart)
     ]
     return sorted(found, key=lambda one: -one.evidence)
 
 
-def _worth(scorer: Scorer, patterns: Matrix, motion: Matrix) -> Vector:
-    """Log evidence of the free course of every device, shape (D,)."""
+def _cells(devices: Devices) -> list[tuple[str, Indices]]:
+    """Cells of several devices, and what they have in each plane, with their columns."""
+    planes = [devices.in_plane(plane) for plane in dict.fromkeys(devices.planes)]
+    found: dict[tuple[int, ...], str] = {}
+    for cell, members in devices.groups().items():
+        for within in (members, *(np.intersect1d(members, plane) for plane in planes)):
+            if 1 < len(within) < len(devices):
+                found[tuple(map(int, within))] = cell
+    return [(cell, np.array(members)) for members, cell in found.items()]
+
+
+def _worth(
+    scorer: Scorer, patterns: Matrix, basis: Sequence[Matrix], cells: Sequence[Indices]
+) -> Vector:
+    """Log evidence of the free course of every device, and of some that are alike.
+
+    Args:
+        scorer: Of the workspace.
+        patterns: Of the devices, shape (n, D) [m].
+        basis: Courses of all devices that a free one is made of, K of shape (N, D).
+        cells: Numbers of devices that may be alike, G of them.
+
+    Returns:
+        Shape (D + G,).
+    """
     transform = scorer.space.transform
     seen = scorer.seen(patterns)
-    basis = _basis(motion, transform)
     spectra = np.stack([transform.quick_spectrum(one) for one in basis], axis=2)
-    pull = np.einsum("fd,fdk->dk", seen.pulled, spectra).astype(np.float64)
+    own = np.einsum("fd,fdk->dk", seen.pulled, spectra).astype(np.float64)
+    pull = np.concatenate([own, *(own[one].sum(axis=0, keepdims=True) for one in cells)])
     information = np.zeros((len(pull), len(basis), len(basis)))
-    for rows, own in zip(scorer.members, seen.own, strict=True):
+    for rows, power, precision in zip(scorer.members, seen.own, seen.precision, strict=True):
         part = spectra[rows].transpose(1, 2, 0)
-        information += own[:, None, None] * (part @ part.transpose(0, 2, 1))
+        information[: len(own)] += power[:, None, None] * (part @ part.transpose(0, 2, 1))
+        for number, one in enumerate(cells, len(own)):
+            weighed = np.tensordot(precision[np.ix_(one, one)], part[one], axes=1)
+            information[number] += np.einsum("dkf,dlf->kl", weighed, part[one], optimize=True)
+    return _evidence(pull, information)
+
+
+def _alike(scorer: Scorer, patterns: Matrix, basis: Sequence[Matrix]) -> float:
+    """Log evidence of a free course that is the same for all devices."""
+    transform = scorer.space.transform
+    fields = [transform.quick_spectrum(one) @ patterns.T.astype(np.float32) for one in basis]
+    pull, information = scorer.evaluate(fields)
+    return float(_evidence(pull[None], information[None])[0])
+
+
+def _evidence(pull: Vector, information: Matrix) -> Vector:
+    """Log evidence of sizes with the best of some widths, shape (D,).
+
+    Args:
+        pull: Shape (D, K).
+        information: Shape (D, K, K).
+    """
     best = np.full(len(pull), -np.inf)
-    eye = np.eye(len(basis))
     for width in FREE_WIDTHS:
-        inner = eye + width**2 * information
+        inner = np.eye(pull.shape[1]) + width**2 * information
         solved = np.linalg.solve(inner, pull[:, :, None])[:, :, 0]
         gain = 0.5 * width**2 * np.einsum("dk,dk->d", pull, solved)
         best = np.maximum(best, gain - 0.5 * np.linalg.slogdet(inner)[1])
     return best
-
-
-def _alike(scorer: Scorer, patterns: Matrix, motion: Matrix) -> float:
-    """Log evidence of a free course that is the same for all devices.
-
-    As it has so few sizes, it may also remember for long.
-    """
-    transform = scorer.space.transform
-    courses = [*_basis(motion, transform), *_fading(motion, transform)]
-    fields = [transform.quick_spectrum(one) @ patterns.T.astype(np.float32) for one in courses]
-    pull, information = scorer.evaluate(fields)
-    eye = np.eye(len(pull))
-    gains = []
-    for width in FREE_WIDTHS:
-        inner = eye + width**2 * information
-        gain = 0.5 * width**2 * float(pull @ np.linalg.solve(inner, pull))
-        gains.append(gain - 0.5 * float(np.linalg.slogdet(inner)[1]))
-    return max(gains)
 
 
 def _fading(motion: Matrix, transform: StepTransform) -> Sequence[Matrix]:
@@ -143,4 +173,4 @@ def _basis(motion: Matrix, transform: StepTransform) -> Sequence[Matrix]:
     course = np.arange(len(about)) / max(len(about) - 1, 1)
     for half in range(1, FREE_WAVES + 1):
         courses.append(about * np.cos(np.pi * half * course)[:, None])
-    return courses
+    return [*courses, *_fading(motion, transform)]

@@ -33,7 +33,7 @@ class Round:
     Args:
         space: Before anything of the round was accepted.
         candidates: Every one that was tried.
-        free: Unknown laws of single devices and of all alike, the most telling first.
+        free: Unknown laws of single devices, of cells and of all alike, the most telling first.
     """
 
     space: Workspace
@@ -100,7 +100,7 @@ def tournament(
         of_bpms = any(one.kind.target == "bpm" for one in accepted)  # one of them says it all
         candidates = _last_resort(candidates, None if alone else 0.0 if of_bpms else odd, drawn)
         deaf = _coloured(accepted)
-        free = [one for one in scan_free(Scorer.of(bare)) if one.name not in deaf][:FINALISTS]
+        free = [one for one in scan_free(Scorer.of(bare)) if deaf.isdisjoint(one.names)][:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())

@@ -175,7 +175,7 @@ def unknown_of(
             return None
         return Unknown(places=tuple(name for one in untold for name in one.devices), text=proved)
     told = sum(one.evidence for one in causes)
-    places = tuple(one.name for one in verdict.left[:_WHERE] if one.name)
+    places = tuple(dict.fromkeys(name for one in verdict.left[:_WHERE] for name in one.names))
     text = ""
     if verdict.rest is not None:
         places = verdict.rest.names[:_WHERE]
@@ -184,7 +184,7 @@ def unknown_of(
             "at once, one effect that is not in the library is more likely."
         )
     elif verdict.left and verdict.left[0].target == "noise":
-        where = f"BPM {verdict.left[0].name}" if verdict.left[0].name else "all BPMs"
+        where = f"BPM {verdict.left[0].names[0]}" if verdict.left[0].names else "all BPMs"
         text = (
             f"The noise of {where} grows or shrinks with how far or how fast the beam moves there, "
             "by a law that is not in the library."
@@ -192,7 +192,9 @@ def unknown_of(
     elif verdict.left:
         first = verdict.left[0]
         device = {"bpm": "BPM", "corrector": "corrector"}[first.target]
-        where = f"{device} {first.name}" if first.name else f"all {device}s alike"
+        where = f"all {device}s alike"
+        if first.names:
+            where = f"the {device}s of {first.cell}" if first.cell else f"{device} {first.names[0]}"
         text = f"The rest follows the motion of {where}, by a law that is not in the library."
     elif verdict.state == "named_plus_remainder":
         text = "One effect that is not in the library may make all of it, rest and causes."

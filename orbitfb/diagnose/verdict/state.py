@@ -19,7 +19,7 @@ class Judged:
 
     Args:
         state: Of the five.
-        left: Devices whose free course still explains something, the most telling first.
+        left: Devices, or cells, whose free course still explains something, the most telling first.
         nats: What the best of them, or the effect that is left, explains [nats].
         rest: What of the library is sure beside the causes and was not accepted; None: nothing.
         explained: Share of the gap that the causes explain, where more than they is at work [1].
@@ -45,7 +45,7 @@ def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
         return Judged("unknown" if left else "no_gap", left, nats)
     first = causes[0]
     told = sum(one.evidence for one in causes)
-    # What all devices do alike may be several causes of the library, one device does one thing.
+    # What all devices do alike may be several causes of the library, a device or cell does one.
     named = sum(one.candidates[0].evidence for one in rounds[:-1])
     for one in rounds[0].free:
         enough = named + SURE if one.of_all else first.evidence

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orbitfb.core.signals import Vector
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.parts import Shrink
 from orbitfb.diagnose.verdict.engine import diagnose
@@ -43,6 +44,24 @@ def creeping(currents: Matrix) -> Matrix:
     if len(currents) > 5:
         kicked[0, 6] += 0.8 * (currents[-4, 6] - currents[-5, 6])
     return kicked
+
+
+CELL = [1, 2, 3, 4]
+
+
+def leaking() -> Bent:
+    """A fifth of the currents of a cell leaks away in nine rows and comes back: in no library."""
+    held: list[Vector] = []
+
+    def bent(currents: Matrix) -> Matrix:
+        if len(currents) == 1:
+            held[:] = [currents[0].copy(), currents[0].copy()]
+        held[0] = held[0] + (currents[-1] - held[0]) * (1.0 - np.exp(-1.0 / 9.0))
+        acting = currents[-1:].copy()
+        acting[0, CELL] -= 0.2 * (held[0] - held[1])[CELL]
+        return acting
+
+    return bent
 
 
 def slow(currents: Matrix) -> Matrix:
@@ -129,6 +148,19 @@ def test_what_no_library_has_is_unknown_at_its_device() -> None:
     assert found.state in ("unknown", "named_plus_remainder")
     assert found.unknown is not None
     assert found.unknown.places[0] == "C6 (x)"
+
+
+def test_what_the_devices_of_a_cell_do_alike_and_no_library_has_is_unknown() -> None:
+    """Each of them alone shows too little."""
+    record = make_record(26, currents=leaking())
+    correctors = record.layout.correctors
+    cells = tuple("A" if number in CELL else "B" for number in range(len(correctors)))
+    layout = replace(record.layout, correctors=replace(correctors, cells=cells))
+    found = answer(replace(record, layout=layout))
+    assert (found.state, found.causes) == ("unknown", ())
+    assert found.unknown is not None
+    assert found.unknown.places == ("C1 (x)", "C2 (x)", "C3 (x)", "C4 (x)")
+    assert "follows the motion of the correctors of A" in found.unknown.text
 
 
 def test_what_all_devices_do_alike_and_no_library_has_is_unknown() -> None:
