@@ -9,6 +9,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import field_of
+from orbitfb.diagnose.hypotheses.onsets.every import every, shown_together
 from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, cost_of, scales, within
 from orbitfb.diagnose.hypotheses.refit import Course, moved, spectrum_of, step_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
@@ -52,10 +53,27 @@ def scan_each_own(
     Returns:
         The best set of two devices or more, and all of them, as far as they have evidence.
     """
-    usual = scorer.is_usual(kind)
-    if usual or not kind.collective or rank.alone.max() < HOPE:
+    if scorer.is_usual(kind):
+        return _undone(kind, law, scorer, rank)
+    if not kind.collective or rank.alone.max() < HOPE:
         return []
     return [*_some(kind, law, scorer, rank), *_every(kind, law, scorer, rank)]
+
+
+def _undone(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> list[Candidate]:
+    """All devices whose healthy errors are larger, if these are undone in what they read.
+
+    A healthy error is told to first order. What a large one makes of the noise and of an orbit that
+    wanders is more than that.
+    """
+    best = np.maximum(rank.alone.max(axis=0), 0.0)
+    gain = float(shown_together(best[None])[0])
+    if law.undone is None or kind.linear is None or gain <= 0.0:
+        return []
+    values = rank.grid[0]
+    cost = cost_of(kind, values, scorer)
+    told = partial(every, kind, law, scorer, values, 0, cost)
+    return [Candidate(kind, (), (), values, gain - cost, finer=told)]
 
 
 def _some(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> list[Candidate]:

@@ -1,4 +1,4 @@
-"""All devices that change at one row, each by a size of its own."""
+"""All devices, each by a size of its own: from a row on, or always."""
 
 import numpy as np
 import pytest
@@ -68,3 +68,18 @@ def test_what_a_single_device_shows_at_its_neighbours_is_not_all_of_them() -> No
     alone[:, 3:6] = 30.0, 80.0, 30.0
     assert not np.any(shown_together(alone))
     assert np.all(shown_together(all_of_them) > 0.0)
+
+
+def test_large_gains_of_all_bpms_are_undone_with_the_walk_that_they_read() -> None:
+    """To first order they are errors of the answers to correctors, and the ground is as it was."""
+    gains = 0.15 * np.random.default_rng(31).standard_normal(BPMS)
+    record = make_record(31, sensed=lambda orbit: orbit * (1.0 + gains))
+    kinds = kinds_for(record)
+
+    accepted, rounds = tournament(Workspace.of(record, kinds), kinds)
+
+    (found,) = accepted
+    assert (found.kind.id, found.places, found.onset) == ("bpm-gain", (), 0)
+    assert found.sizes == pytest.approx(gains, abs=0.03)
+    first_order = next(one for one in rounds[0].candidates if one.raised)
+    assert rounds[0].candidates[0].evidence > first_order.evidence + 15.0

@@ -1,4 +1,4 @@
-"""Errors of all devices that change at a row, each by a size of its own."""
+"""Errors of all devices, each of a size of its own: from a row on, or always."""
 
 from collections.abc import Sequence
 
@@ -35,29 +35,30 @@ def shown_together(gain: Matrix) -> Vector:
     return np.where(total > enough, total, 0.0)
 
 
-def every_late(
+def every(
     kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values, about: int, cost: float
 ) -> Candidate:
-    """All devices of a law that begins at a row, with sizes around zero of any scatter.
+    """All devices of a law, with sizes around zero of any scatter, from a row on or always.
 
-    Each device may jump at once by whatever stands in it, unless its law knows what it has reached.
+    Each device may jump at its row by whatever stands in it, unless its law knows what it has
+    reached.
 
     Args:
         kind: The effect.
         law: Of its devices.
         scorer: Of what is left to explain.
         values: Of the parameters.
-        about: The row is sought near to this one.
+        about: The row is sought near to this one; zero: it was always so.
         cost: Of the values [nats].
     """
     transform, devices = scorer.space.transform, len(law.names)
-    row = _row(kind, law, scorer, values, about)
+    row = _row(kind, law, scorer, values, about) if about else 0
     whole = Course(law, (), values, np.ones(devices), row)
     blocks = [number for number, one in enumerate(law.patterns) if np.any(one)]
     courses = whole.of(scorer.space.signals, values)
     spectra = [_wide(transform.quick_spectrum(courses[one]), devices) for one in blocks]
     own = [np.arange(devices)] * len(blocks)  # of what follows a device has one size in all planes
-    if law.first is None:
+    if row and law.first is None:
         jump = transform.quick_spectrum((np.arange(transform.rows) >= row).astype(float)[:, None])
         kicks = scorer.space.courses.spectra(law, values)
         spectra += [jump * _wide(standing(kicks[one])[None], devices) for one in blocks]
@@ -69,12 +70,12 @@ def every_late(
     found = sizes[:devices]
     told = found * values[str(kind.linear)]
     usual = {**values, str(kind.linear): float(np.sqrt(np.mean(told**2)))}
-    whole_cost = cost + float(np.log(transform.rows)) + lost
+    whole_cost = cost + lost + (float(np.log(transform.rows)) if row else 0.0)
     return Candidate(
         kind, (), (), usual, scorer.likelihood(field) - whole_cost, cost=whole_cost,
         onset=row, field=field, sizes=tuple(map(float, told)),
         sources=(Course(law, (), values, found, row),),
-        again=lambda after: every_late(
+        again=lambda after: every(
             kind, law, Scorer.of(over(scorer.space, after)), values, row, cost
         ),
     )  # fmt: skip

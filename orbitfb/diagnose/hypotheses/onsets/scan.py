@@ -15,7 +15,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.jumps import of_jumps
-from orbitfb.diagnose.hypotheses.onsets.every import every_late, shown_together
+from orbitfb.diagnose.hypotheses.onsets.every import every, shown_together
 from orbitfb.diagnose.hypotheses.onsets.exact import (
     HOPEFUL,
     Begin,
@@ -76,7 +76,7 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
         if begin.together > cost and scorer.is_usual(kind):
             whole = Candidate(kind, (), (), begin.values, begin.together - cost, onset=begin.about)
             its = kind, law, scorer, begin.values, begin.about, cost
-            found.append(replace(whole, finer=partial(every_late, *its)))
+            found.append(replace(whole, finer=partial(every, *its)))
         if begin.evidence <= 0.0:
             continue
         if len(begin.places) == 1:
