@@ -53,10 +53,13 @@ def scan_each_own(
     Returns:
         The best set of two devices or more, and all of them, as far as they have evidence.
     """
-    if scorer.is_usual(kind):
-        return _undone(kind, law, scorer, rank)
+    usual = scorer.is_usual(kind)
+    if usual and (law.undone is None or kind.linear is None):
+        return []
     if not kind.collective or rank.alone.max() < HOPE:
         return []
+    if usual:
+        return [*_some(kind, law, scorer, rank), *_undone(kind, law, scorer, rank)]
     return [*_some(kind, law, scorer, rank), *_every(kind, law, scorer, rank)]
 
 
@@ -64,11 +67,11 @@ def _undone(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> l
     """All devices whose healthy errors are larger, if these are undone in what they read.
 
     A healthy error is told to first order. What a large one makes of the noise and of an orbit that
-    wanders is more than that.
+    wanders is more than that; so it is with those of some devices.
     """
     best = np.maximum(rank.alone.max(axis=0), 0.0)
     gain = float(shown_together(best[None])[0])
-    if law.undone is None or kind.linear is None or gain <= 0.0:
+    if gain <= 0.0:
         return []
     values = rank.grid[0]
     cost = cost_of(kind, values, scorer)

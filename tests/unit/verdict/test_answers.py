@@ -1,16 +1,20 @@
 """Answers to small records whose cause is known, from the record to the words."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.blind import many
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.parts import Shrink
 from orbitfb.diagnose.verdict.engine import diagnose
+from orbitfb.diagnose.verdict.files import diagnose_files
 from orbitfb.diagnose.verdict.state import Judged, beside_left
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Ring
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import NOISE, Bent, lagging, make_record
 
@@ -235,3 +239,18 @@ def test_noise_that_follows_the_beam_is_no_noise_of_the_library() -> None:
 def test_noise_with_tails_does_not_follow_the_beam() -> None:
     found = answer(make_record(28, sensed=with_tails(2)))
     assert (found.state, [one.effect for one in found.causes]) == ("named", ["noise-tails"])
+
+
+@pytest.mark.parametrize("machine", ["damped-ground", "full-gain"])
+def test_gains_of_some_bpms_are_alone_where_the_ground_or_the_loop_moves_much(
+    tmp_path: Path, machine: str
+) -> None:
+    """To first order, or undone from a later row, they leave jumps and curves of the same BPMs."""
+    name = many.write(machine, "bpm-gain", 42, tmp_path)
+    found = diagnose_files(
+        tmp_path / f"{name}.npz", None, None, planes=None, ring=Ring.load(None, None), seed=0,
+        progress=lambda what, share: None,
+    )  # fmt: skip
+    (cause,) = found.causes
+    assert (found.state, cause.effect, cause.onset_s) == ("named", "bpm-gain", None)
+    assert len(cause.places) == 2

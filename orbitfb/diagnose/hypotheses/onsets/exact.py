@@ -131,8 +131,10 @@ def always(
     """The same from the beginning on: no row is chosen.
 
     Of a law that remembers the first rows tell nothing, as what was before the record is unknown.
+    One that is undone in the readings is so in all of them.
     """
-    places, values, rows = begin.places, begin.values, range(UNTOLD + 1)
+    places, values = begin.places, begin.values
+    rows = range(UNTOLD + 1) if law.undone is None else range(1)
     devices = places or tuple(range(len(law.names)))
     worth = any_size if free else given_size
     row = int(np.argmax(worth(*_by_row(law, scorer, values, devices, rows, kick=False))))
