@@ -174,6 +174,6 @@ def _unknown(state: State, unknown: Unknown | None, effects: int) -> str:
     begin = (
         f"None of {tested} explains the gap."
         if state == "unknown"
-        else f"None of {tested} explains the rest of the gap."
+        else f"None of {tested} explains all of the gap alone."
     )
     return f"{begin} {unknown.text}" if unknown is not None and unknown.text else begin

@@ -87,6 +87,11 @@ def cause_of(
     )
 
 
+def struck_by(one: Named, space: Workspace) -> frozenset[str]:
+    """Names of the devices that a cause strikes; empty: all of them, or the ring."""
+    return frozenset(_devices(one.names, _members(one, space)))
+
+
 def _members(one: Named, space: Workspace) -> Mapping[str, tuple[str, ...]]:
     """Devices of the groups that have something random in common, by the name of the group."""
     layout = space.signals.record.layout
@@ -196,6 +201,12 @@ def unknown_of(
         if first.names:
             where = f"the {device}s of {first.cell}" if first.cell else f"{device} {first.names[0]}"
         text = f"The rest follows the motion of {where}, by a law that is not in the library."
+    elif verdict.shared:
+        places = verdict.shared[:_WHERE]
+        text = (
+            "Two effects at the very same devices would be a coincidence: one effect that is not "
+            "in the library, and looks like both, is more likely."
+        )
     elif verdict.state == "named_plus_remainder":
         text = "One effect that is not in the library may make all of it, rest and causes."
     return Unknown(

@@ -32,13 +32,19 @@ from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.diagnose.verdict.causes import (
     ambiguous_sets,
     cause_of,
+    struck_by,
     tournament_of,
     unknown_of,
     waterfall_of,
 )
 from orbitfb.diagnose.verdict.proved import SCREENED, beside, proved
 from orbitfb.diagnose.verdict.shrink import Records, shrunk_by, shrunk_here
-from orbitfb.diagnose.verdict.state import beside_left, beside_proved, judged
+from orbitfb.diagnose.verdict.state import (
+    beside_each_other,
+    beside_left,
+    beside_proved,
+    judged,
+)
 from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import all_effects
@@ -103,6 +109,8 @@ def diagnose(
     scores = score_map(causes, rounds[0], first)
     own = shrunk_here(its, step, parts)
     verdict = beside_left(verdict, own, its.foretold)
+    struck = [struck_by(one, its.space) for one in causes]
+    verdict = beside_each_other(verdict, struck, len(certain.record.layout.bpms))
     told = (*certain.causes, *_told(causes, its, last, scores, verdict.explained))
     shrunk, warnings = shrunk_by(
         Records(certain.record, reference, holdout), kinds, its, causes, step, parts, own,

@@ -23,6 +23,7 @@ class Judged:
         nats: What the best of them, or the effect that is left, explains [nats].
         rest: What of the library is sure beside the causes and was not accepted; None: nothing.
         explained: Share of the gap that the causes explain, where more than they is at work [1].
+        shared: Devices that two of the causes have in common, and no others; empty: there are none.
     """
 
     state: State
@@ -30,6 +31,7 @@ class Judged:
     nats: float
     rest: Candidate | None = None
     explained: float = 1.0
+    shared: tuple[str, ...] = ()
 
 
 def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
@@ -80,6 +82,27 @@ def beside_left(verdict: Judged, shrunk: Shrink | None, foretold: bool) -> Judge
     if gone is None or most is None or most >= 1.0 - REMAINDER:
         return verdict
     return replace(verdict, state="named_plus_remainder", explained=min(verdict.explained, gone))
+
+
+def beside_each_other(verdict: Judged, struck: Sequence[frozenset[str]], devices: int) -> Judged:
+    """Judge anew where two effects are named at the very same devices.
+
+    Of all sets of so many devices the second would have struck that of the first by chance; one
+    effect that is in no library, and looks like two that are, need not.
+
+    Args:
+        verdict: By what was found.
+        struck: Names of the devices of every cause; empty: all of them, or the ring.
+        devices: How many devices of a kind there are.
+    """
+    if verdict.state != "named":
+        return verdict
+    same = [one for number, one in enumerate(struck) if one and one in struck[:number]]
+    if not same:
+        return verdict
+    chance = 1.0 / (1.0 + devices / len(same[0]))
+    shared = tuple(sorted(same[0]))
+    return replace(verdict, state="named_plus_remainder", explained=chance, shared=shared)
 
 
 def beside_proved(state: State, proved: Proved) -> State:

@@ -10,9 +10,10 @@ from benchmarks.blind import many
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.parts import Shrink
+from orbitfb.diagnose.verdict.causes import unknown_of
 from orbitfb.diagnose.verdict.engine import diagnose
 from orbitfb.diagnose.verdict.files import diagnose_files
-from orbitfb.diagnose.verdict.state import Judged, beside_left
+from orbitfb.diagnose.verdict.state import Judged, beside_each_other, beside_left
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Ring
 from orbitfb.records.record import Record
@@ -254,3 +255,19 @@ def test_gains_of_some_bpms_are_alone_where_the_ground_or_the_loop_moves_much(
     (cause,) = found.causes
     assert (found.state, cause.effect, cause.onset_s) == ("named", "bpm-gain", None)
     assert len(cause.places) == 2
+
+
+def test_two_effects_at_the_very_same_devices_are_rather_one_of_no_library() -> None:
+    one, other, none = frozenset({"B1 (x)", "B2 (x)"}), frozenset({"B2 (x)"}), frozenset[str]()
+    named = Judged("named", (), 0.0)
+    assert beside_each_other(named, [one, other], 180) is named
+    assert beside_each_other(named, [none, none], 180) is named
+    unsure = Judged("ambiguous", (), 0.0)
+    assert beside_each_other(unsure, [one, one], 180) is unsure
+    found = beside_each_other(named, [one, other, one], 180)
+    assert (found.state, found.shared) == ("named_plus_remainder", ("B1 (x)", "B2 (x)"))
+    assert found.explained == pytest.approx(1.0 / 91.0)  # 90 pairs of devices beside each other
+    told = unknown_of(found, ())
+    assert told is not None
+    assert told.places == found.shared
+    assert "coincidence" in told.text
