@@ -338,6 +338,10 @@ than a record. By hand; others lie between."""
 FREE_WAVES = 2
 """Half waves over the record by which the size of a device may grow, fade and come back."""
 
+FREE_BANDS = (4, 8, 16, 32, 64, 128, 256)
+"""Frequencies of a band in which a place may kick more than the ground [1]: a wave alone has two or
+three, and is in the library; of the widest a record has ten."""
+
 FREE_WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0)
 """Standard deviations of the sizes that are tried, over what the device moves."""
 

@@ -5,7 +5,8 @@ of it, of its powers, and of its motion that grows, fades or swings slowly: a mo
 law by name. Its sizes have a prior whose width the record tells. Where it explains more than every
 law of the library, what the device does is in no library; where it finds more beside a law that was
 accepted, the device does something else besides. So it is with a course that the devices of a cell,
-or all BPMs or all correctors, have alike, and with noise whose level follows the beam.
+or all BPMs or all correctors, have alike, with noise whose level follows the beam, and with a place
+that kicks more than the ground does in some band of frequencies, whatever its course.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,9 @@ from scipy.signal import lfilter
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.noise.levels import free_level
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.effects.kicks import source_names, source_patterns
 from orbitfb.estimation.priors import (
+    FREE_BANDS,
     FREE_LAGS,
     FREE_MEMORIES,
     FREE_WAVES,
@@ -33,7 +36,8 @@ class FreeCourse:
     """What a free course of devices explains.
 
     Args:
-        target: `bpm`, `corrector`, or `noise` for the level of a BPM's noise.
+        target: `bpm`, `corrector`, `noise` for the level of a BPM's noise, or `source` for a place
+            that kicks.
         names: Of the devices that follow it alike; empty: all of them.
         cell: That they are, if several and not all are.
         evidence: Log evidence less the choice of devices and width [nats].
@@ -79,6 +83,7 @@ def scan_free(scorer: Scorer) -> list[FreeCourse]:
         FreeCourse("noise", (layout.bpms.label(place),), float(worth) - cost)
         for place, worth in enumerate(apart)
     ]
+    found += _sources(scorer)
     return sorted(found, key=lambda one: -one.evidence)
 
 
@@ -91,6 +96,30 @@ def _cells(devices: Devices) -> list[tuple[str, Indices]]:
             if 1 < len(within) < len(devices):
                 found[tuple(map(int, within))] = cell
     return [(cell, np.array(members)) for members, cell in found.items()]
+
+
+def _sources(scorer: Scorer) -> list[FreeCourse]:
+    """Weigh at every place whether it kicks more in a band of frequencies than the floor expects.
+
+    What a pattern sees has the mean square ρ = 1 there; where it is more, a variance as large is
+    likelier by w (ρ − 1 − ln ρ) / 2 of w frequencies.
+    """
+    layout = scorer.space.signals.record.layout
+    patterns = source_patterns(layout).astype(np.float32)
+    seen = patterns.T @ scorer.modes
+    square = (scorer.pulled.astype(np.float32) @ patterns) ** 2
+    square /= np.maximum(scorer.weights @ (seen**2).T, np.finfo(np.float32).tiny)
+    summed = np.vstack([np.zeros_like(square[:1]), np.cumsum(square, axis=0, dtype=np.float64)])
+    widths = [width for width in FREE_BANDS if width < len(square)]
+    best = np.zeros(len(seen))
+    for width in widths:
+        excess = np.maximum((summed[width:] - summed[:-width]).max(axis=0) / width, 1.0)
+        best = np.maximum(best, 0.5 * width * (excess - 1.0 - np.log(excess)))
+    cost = float(np.log(max(square.size * len(widths), 1))) + VALUE_COST
+    return [
+        FreeCourse("source", (name,), float(worth) - cost)
+        for name, worth in zip(source_names(layout), best, strict=True)
+    ]
 
 
 def _worth(

@@ -104,11 +104,14 @@ def tournament(
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())
-        if not candidates or not (
-            candidates[0].evidence >= enough or is_another(candidates[0], accepted, space)
-        ):
+        best = candidates[0] if candidates else None
+        sure = best is not None and (best.evidence >= enough or is_another(best, accepted, space))
+        unnamed = max((one.evidence for one in free if not one.of_all), default=0.0)
+        if not sure and unnamed <= SURE:
             return accepted, rounds
-        moving = with_motion(space, candidates[0].evidence)
+        moving = with_motion(
+            space, max(best.evidence if best is not None and sure else 0.0, unnamed)
+        )
         if moving is not None:
             tell("top healthy motion")
             space = moving
@@ -116,12 +119,10 @@ def tournament(
                 accepted, space = _told_again(accepted, over(first, moving))
             rounds.pop()
             continue
-        if causes == ROUNDS or _composed([*accepted, candidates[0]]):
+        if best is None or not sure or causes == ROUNDS or _composed([*accepted, best]):
             return accepted, rounds
-        unnamed = [one.evidence for one in free if not one.of_all]
-        if not accepted and max(unnamed, default=0.0) > candidates[0].evidence:
+        if not accepted and unnamed > best.evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
-        best = candidates[0]
         rivals = undecided(leaders(candidates), space) if waits else []
         if rivals:
             best, space = drawn_with(rivals, space)

@@ -194,6 +194,11 @@ def unknown_of(
             f"The noise of {where} grows or shrinks with how far or how fast the beam moves there, "
             "by a law that is not in the library."
         )
+    elif verdict.left and verdict.left[0].target == "source":
+        text = (
+            f"The rest is like kicks at {verdict.left[0].names[0]}, whose course in time is not in "
+            "the library."
+        )
     elif verdict.left:
         first = verdict.left[0]
         device = {"bpm": "BPM", "corrector": "corrector"}[first.target]

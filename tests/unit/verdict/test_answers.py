@@ -69,6 +69,15 @@ def leaking() -> Bent:
     return bent
 
 
+def wavering(currents: Matrix) -> Matrix:
+    """Something beside corrector 5 swings at a frequency that changes: in no library."""
+    rows = np.arange(len(currents))
+    phase = np.cumsum(0.9 + 0.15 * np.sin(rows / 37.0) + 0.1 * np.sin(rows / 11.0))
+    acting = currents[-1:].copy()
+    acting[0, 5] += 8e-3 * np.sin(phase[-1])
+    return acting
+
+
 def slow(currents: Matrix) -> Matrix:
     """Three tenths of every change reach the field of all correctors late: in no library."""
     fading = np.exp(-np.arange(len(currents))[::-1] / 80.0)[:, None]
@@ -166,6 +175,15 @@ def test_what_the_devices_of_a_cell_do_alike_and_no_library_has_is_unknown() -> 
     assert found.unknown is not None
     assert found.unknown.places == ("C1 (x)", "C2 (x)", "C3 (x)", "C4 (x)")
     assert "follows the motion of the correctors of A" in found.unknown.text
+
+
+def test_a_place_that_kicks_by_a_course_of_no_library_is_unknown() -> None:
+    """A wave of one frequency, the nearest in the library, has a fraction of it."""
+    found = answer(make_record(26, currents=wavering))
+    assert found.state == "unknown"
+    assert found.unknown is not None
+    assert found.unknown.places[0] == "C5 (x)"
+    assert "is like kicks at C5 (x)" in found.unknown.text
 
 
 def test_what_all_devices_do_alike_and_no_library_has_is_unknown() -> None:
