@@ -35,6 +35,7 @@ class Candidate:
         noisy: Whether it says something of the noise alone.
         coloured: Whether it says that the noise remembers, which no floor does.
         courseless: Whether its course is whatever the record shows at its place.
+        cycles: Of a wave, from row to row [1]; None: it is none.
         sources: Courses of its devices, if any: their values stay free when it is accepted.
         deviations: Relative standard deviations of its values, where the scan tells them; of others
             the evidence does once all causes are known.
@@ -65,6 +66,7 @@ class Candidate:
     noisy: bool = False
     coloured: bool = False
     courseless: bool = False
+    cycles: float | None = None
     sources: tuple[Course, ...] = ()
     deviations: Mapping[str, float] = dataclasses.field(default_factory=dict)
     cost: float | None = None

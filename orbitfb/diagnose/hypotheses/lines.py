@@ -160,7 +160,9 @@ def _told(
     evidence = line.evidence + len(names) * np.log(len(law.names)) - choices(law, line.places)
     cost = scorer.likelihood(line.field) - evidence
     kept = evidence if won is None else won
-    one = Candidate(kind, line.places, names, values, kept, field=line.field, cost=cost)
+    one = Candidate(
+        kind, line.places, names, values, kept, field=line.field, cost=cost, cycles=line.cycles
+    )
 
     def again(after: Workspace) -> Candidate:
         fresh = _told(kind, law, Scorer.of(over(scorer.space, after)), way, kept)

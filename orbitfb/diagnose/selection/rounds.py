@@ -190,8 +190,11 @@ def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:
     noise is told to remember no law of its readings is: a feedback that acts on them makes the beam
     follow that noise, which looks like a law, and no floor has such a noise. One law is enough for
     the noise of a BPM: no floor has it, so that others would be as true. Readings are undone as
-    they were read, so once only.
+    they were read, so once only. And what a wave leaves, as the optics are a little wrong, is that
+    wave, wherever another effect finds it.
     """
+    if _is_same_wave(one, accepted):
+        return True
     if one.kind.target != "bpm":
         return False
     if one.undone is not None and any(
@@ -208,6 +211,14 @@ def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:
         if its.kind.target == "bpm" and (one.noisy or not its.noisy)
     ]
     return any(not places or (one.places and set(one.places) <= places) for places in known)
+
+
+def _is_same_wave(one: Candidate, accepted: Sequence[Candidate]) -> bool:
+    """Whether another effect is accepted as a wave that the record cannot tell from this one's."""
+    if one.cycles is None or one.field is None:
+        return False
+    waves = [its.cycles for its in accepted if its.cycles is not None and its.kind is not one.kind]
+    return any(abs(its - one.cycles) * len(one.field) < 1.0 for its in waves)
 
 
 def _coloured(accepted: Sequence[Candidate]) -> set[str]:

@@ -1,5 +1,6 @@
 """What takes many effects at once is one that the library lacks."""
 
+import numpy as np
 import pytest
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
@@ -71,3 +72,19 @@ def test_errors_of_all_devices_are_one_effect(monkeypatch: pytest.MonkeyPatch) -
     told = [Candidate(effect(one), (), (), {}, 300.0, raised=BROAD) for one in names]
     accepted, _ = found(monkeypatch, *told)
     assert accepted == told
+
+
+@pytest.mark.parametrize(("cycles", "kept"), [(0.05 + 1e-4, False), (0.05 + 1e-2, True)])
+def test_what_a_wave_leaves_where_the_optics_are_wrong_is_that_wave(
+    monkeypatch: pytest.MonkeyPatch, cycles: float, kept: bool
+) -> None:
+    """A hum of BPMs of the same frequency, to what 900 rows can tell."""
+    names = ("periodic-disturbance", 0.05), ("bpm-hum", cycles)
+    told = [
+        Candidate(
+            effect(name), (1,), ("1",), {}, nats, field=np.zeros((899, 16)), cost=0.0, cycles=its
+        )
+        for (name, its), nats in zip(names, (400.0, 300.0), strict=True)
+    ]
+    accepted, _ = found(monkeypatch, *told)
+    assert [one.kind.id for one in accepted] == [name for name, _ in names[: 1 + kept]]
