@@ -181,7 +181,7 @@ def unknown_of(
         return Unknown(places=tuple(name for one in untold for name in one.devices), text=proved)
     told = sum(one.evidence for one in causes)
     places = tuple(dict.fromkeys(name for one in verdict.left[:_WHERE] for name in one.names))
-    text = ""
+    text, what = "", "The gap" if verdict.state == "unknown" else "The rest"
     if verdict.rest is not None:
         places = verdict.rest.names[:_WHERE]
         text = (
@@ -196,7 +196,7 @@ def unknown_of(
         )
     elif verdict.left and verdict.left[0].target == "source":
         text = (
-            f"The rest is like kicks at {verdict.left[0].names[0]}, whose course in time is not in "
+            f"{what} is like kicks at {verdict.left[0].names[0]}, whose course in time is not in "
             "the library."
         )
     elif verdict.left:
@@ -205,7 +205,7 @@ def unknown_of(
         where = f"all {device}s alike"
         if first.names:
             where = f"the {device}s of {first.cell}" if first.cell else f"{device} {first.names[0]}"
-        text = f"The rest follows the motion of {where}, by a law that is not in the library."
+        text = f"{what} follows the motion of {where}, by a law that is not in the library."
     elif verdict.shared:
         places = verdict.shared[:_WHERE]
         text = (

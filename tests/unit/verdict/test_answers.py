@@ -183,7 +183,7 @@ def test_a_place_that_kicks_by_a_course_of_no_library_is_unknown() -> None:
     assert found.state == "unknown"
     assert found.unknown is not None
     assert found.unknown.places[0] == "C5 (x)"
-    assert "is like kicks at C5 (x)" in found.unknown.text
+    assert "The gap is like kicks at C5 (x)" in found.unknown.text
 
 
 def test_what_all_devices_do_alike_and_no_library_has_is_unknown() -> None:
