@@ -86,7 +86,7 @@ class Tournament(Part):
     rows: tuple[TournamentRow, ...] = Field(default=(), description="one row per effect")
     free_nats: Number = Field(
         default=None,
-        description="evidence for an unknown law of the best single device [nats]",
+        description="evidence for the best unknown law, of devices or of a place that kicks [nats]",
     )
 
 
