@@ -40,9 +40,8 @@ class Innovations:
             powers.append(np.maximum(power, 1e-6))
             laws += [law] * len(power)
         self.power = np.concatenate(powers)
-        self._keep, self._on = (
-            np.array([getattr(law, name) for law in laws]) for name in ("keep", "on")
-        )
+        self._keep = np.array([law.keep for law in laws])
+        self._on = np.array([law.on for law in laws])
 
     def whiten(self, difference: Array) -> Array:
         """Turn a difference of readings (rows, n) [m] into whitened innovations."""

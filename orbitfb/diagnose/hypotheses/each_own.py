@@ -42,7 +42,8 @@ def scan_each_own(
     """Find devices with values of each one's own: a set that is grown, and all of them.
 
     A set grows of devices each at the value of the grid that suits it best. All of them have one
-    value and a size of each one's own, if the law has a size.
+    value and a size of each one's own, if the law has a size. What healthy devices have, too, is
+    told by their errors (`healthy`), but to first order: it is found here if it can be undone.
 
     Args:
         kind: The effect.
@@ -53,21 +54,19 @@ def scan_each_own(
     Returns:
         The best set of two devices or more, and all of them, as far as they have evidence.
     """
-    usual = scorer.is_usual(kind)
-    if usual and (law.undone is None or kind.linear is None):
-        return []
     if not kind.collective or rank.alone.max() < HOPE:
         return []
-    if usual:
-        return [*_some(kind, law, scorer, rank), *_undone(kind, law, scorer, rank)]
-    return [*_some(kind, law, scorer, rank), *_every(kind, law, scorer, rank)]
+    if not scorer.is_usual(kind):
+        return [*_some(kind, law, scorer, rank), *_every(kind, law, scorer, rank)]
+    if law.undone is None or kind.linear is None:
+        return []
+    return [*_some(kind, law, scorer, rank), *_undone(kind, law, scorer, rank)]
 
 
 def _undone(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> list[Candidate]:
-    """All devices whose healthy errors are larger, if these are undone in what they read.
+    """All devices with errors that are undone in what they read.
 
-    A healthy error is told to first order. What a large one makes of the noise and of an orbit that
-    wanders is more than that; so it is with those of some devices.
+    That takes off what large ones make of the noise and of an orbit that wanders, too.
     """
     best = np.maximum(rank.alone.max(axis=0), 0.0)
     gain = float(shown_together(best[None])[0])

@@ -104,14 +104,16 @@ def tournament(
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())
-        best = candidates[0] if candidates else None
-        sure = best is not None and (best.evidence >= enough or is_another(best, accepted, space))
-        unnamed = max((one.evidence for one in free if not one.of_all), default=0.0)
-        if not sure and unnamed <= SURE:
-            return accepted, rounds
-        moving = with_motion(
-            space, max(best.evidence if best is not None and sure else 0.0, unnamed)
+        sure = (
+            one
+            for one in candidates[:1]
+            if one.evidence >= enough or is_another(one, accepted, space)
         )
+        best = next(sure, None)
+        unnamed = max((one.evidence for one in free if not one.of_all), default=0.0)
+        if best is None and unnamed <= SURE:
+            return accepted, rounds
+        moving = with_motion(space, max(0.0 if best is None else best.evidence, unnamed))
         if moving is not None:
             tell("top healthy motion")
             space = moving
@@ -119,7 +121,7 @@ def tournament(
                 accepted, space = _told_again(accepted, over(first, moving))
             rounds.pop()
             continue
-        if best is None or not sure or causes == ROUNDS or _composed([*accepted, best]):
+        if best is None or causes == ROUNDS or _composed([*accepted, best]):
             return accepted, rounds
         if not accepted and unnamed > best.evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name

@@ -87,9 +87,14 @@ def cause_of(
     )
 
 
-def struck_by(one: Named, space: Workspace) -> frozenset[str]:
-    """Names of the devices that a cause strikes; empty: all of them, or the ring."""
-    return frozenset(_devices(one.names, _members(one, space)))
+def struck_by(one: Named, space: Workspace) -> tuple[frozenset[str], int]:
+    """Names of the devices that a cause strikes, and how many there are of their kind.
+
+    No names: all of them, or the ring. Places between the devices are about as many as the BPMs.
+    """
+    layout = space.signals.record.layout
+    kind = layout.correctors if one.kind.target == "corrector" else layout.bpms
+    return frozenset(_devices(one.names, _members(one, space))), len(kind)
 
 
 def _members(one: Named, space: Workspace) -> Mapping[str, tuple[str, ...]]:
@@ -209,8 +214,8 @@ def unknown_of(
     elif verdict.shared:
         places = verdict.shared[:_WHERE]
         text = (
-            "Two effects at the very same devices would be a coincidence: one effect that is not "
-            "in the library, and looks like both, is more likely."
+            "Two effects at the very same devices would be a coincidence. One effect that looks "
+            "like both, and is not in the library, is more likely."
         )
     elif verdict.state == "named_plus_remainder":
         text = "One effect that is not in the library may make all of it, rest and causes."

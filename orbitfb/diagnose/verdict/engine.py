@@ -109,8 +109,7 @@ def diagnose(
     scores = score_map(causes, rounds[0], first)
     own = shrunk_here(its, step, parts)
     verdict = beside_left(verdict, own, its.foretold)
-    struck = [struck_by(one, its.space) for one in causes]
-    verdict = beside_each_other(verdict, struck, len(certain.record.layout.bpms))
+    verdict = beside_each_other(verdict, [struck_by(one, its.space) for one in causes])
     told = (*certain.causes, *_told(causes, its, last, scores, verdict.explained))
     shrunk, warnings = shrunk_by(
         Records(certain.record, reference, holdout), kinds, its, causes, step, parts, own,

@@ -84,7 +84,7 @@ def beside_left(verdict: Judged, shrunk: Shrink | None, foretold: bool) -> Judge
     return replace(verdict, state="named_plus_remainder", explained=min(verdict.explained, gone))
 
 
-def beside_each_other(verdict: Judged, struck: Sequence[frozenset[str]], devices: int) -> Judged:
+def beside_each_other(verdict: Judged, struck: Sequence[tuple[frozenset[str], int]]) -> Judged:
     """Judge anew where two effects are named at the very same devices.
 
     Of all sets of so many devices the second would have struck that of the first by chance; one
@@ -92,16 +92,17 @@ def beside_each_other(verdict: Judged, struck: Sequence[frozenset[str]], devices
 
     Args:
         verdict: By what was found.
-        struck: Names of the devices of every cause; empty: all of them, or the ring.
-        devices: How many devices of a kind there are.
+        struck: Names of the devices of every cause, none where it strikes all of them or the ring,
+            and how many there are of their kind.
     """
     if verdict.state != "named":
         return verdict
-    same = [one for number, one in enumerate(struck) if one and one in struck[:number]]
+    same = [one for number, one in enumerate(struck) if one[0] and one in struck[:number]]
     if not same:
         return verdict
-    chance = 1.0 / (1.0 + devices / len(same[0]))
-    shared = tuple(sorted(same[0]))
+    names, devices = same[0]
+    chance = 1.0 / (1.0 + devices / len(names))
+    shared = tuple(sorted(names))
     return replace(verdict, state="named_plus_remainder", explained=chance, shared=shared)
 
 

@@ -276,13 +276,14 @@ def test_gains_of_some_bpms_are_alone_where_the_ground_or_the_loop_moves_much(
 
 
 def test_two_effects_at_the_very_same_devices_are_rather_one_of_no_library() -> None:
-    one, other, none = frozenset({"B1 (x)", "B2 (x)"}), frozenset({"B2 (x)"}), frozenset[str]()
+    one = frozenset({"B1 (x)", "B2 (x)"}), 180
+    other, none = (frozenset({"B2 (x)"}), 180), (frozenset[str](), 180)
     named = Judged("named", (), 0.0)
-    assert beside_each_other(named, [one, other], 180) is named
-    assert beside_each_other(named, [none, none], 180) is named
+    assert beside_each_other(named, [one, other]) is named
+    assert beside_each_other(named, [none, none]) is named
     unsure = Judged("ambiguous", (), 0.0)
-    assert beside_each_other(unsure, [one, one], 180) is unsure
-    found = beside_each_other(named, [one, other, one], 180)
+    assert beside_each_other(unsure, [one, one]) is unsure
+    found = beside_each_other(named, [one, other, one])
     assert (found.state, found.shared) == ("named_plus_remainder", ("B1 (x)", "B2 (x)"))
     assert found.explained == pytest.approx(1.0 / 91.0)  # 90 pairs of devices beside each other
     told = unknown_of(found, ())
