@@ -13,9 +13,11 @@ import numpy as np
 from scipy.linalg import eigh
 
 from orbitfb.core.errors import EstimationError
+from orbitfb.core.signals import Vector
 from orbitfb.estimation.moments import Moments, at_least, weighed_sums
 from orbitfb.estimation.noise import StepNoise
-from orbitfb.estimation.priors import LEAST_STEPS
+from orbitfb.estimation.priors import FREELY, LEAST_STEPS
+from orbitfb.estimation.shapes import Shapes, fit_shapes
 from orbitfb.estimation.transform import Matrix
 
 _GLANCE = 2
@@ -71,9 +73,9 @@ def improve(
         moments: Of what no model explains.
         shape: Prior mean of the walk's covariance, shape (n, n) [m²].
         iterations: How many.
-        counts: What the prior is worth, in steps.
+        counts: What the prior is worth, in steps; infinite: the walk stays as it is.
     """
-    for _ in range(iterations):
+    for _ in range(iterations if np.isfinite(counts) else 0):
         pull, expected, noisy, usual = weighed_sums(noise, moments)
         walk = _nearer(noise.walk, pull, expected, shape, counts)
         reading = noise.reading * np.sqrt(np.diag(noisy) / np.diag(usual))
@@ -101,6 +103,35 @@ def trusted(noise: StepNoise, halves: tuple[Moments, Moments], choices: Sequence
         for counts in choices
     ]
     return choices[int(np.argmax(worth))]
+
+
+def foretold(
+    noise: StepNoise,
+    halves: tuple[Moments, Moments],
+    shapes: Shapes,
+    held: Matrix,
+    weights: Vector,
+    choices: Sequence[float],
+) -> list[float]:
+    """Log density of each half of the frequencies under the floor that the other one tells.
+
+    What a floor follows by chance in one half is not in the other, so that floors which are free in
+    unlike ways may be compared.
+
+    Args:
+        noise: To begin with.
+        halves: Moments of every other frequency, and of the rest.
+        shapes: That the walk may have.
+        held: Covariance of the walk that is known besides, shape (n, n) [m²].
+        weights: Of the shapes, to begin with, shape (F,).
+        choices: What the shapes may be worth as a prior, in steps; of each it is told.
+    """
+    worth = [0.0] * len(choices)
+    for one, other in (halves, halves[::-1]):
+        mixed, _ = fit_shapes(noise, one, shapes, held, weights)
+        for place, counts in enumerate(choices):
+            worth[place] += other.log_density(improve(mixed, one, mixed.walk, FREELY, counts))
+    return worth
 
 
 def distance(walk: Matrix, prior: Matrix) -> float:

@@ -40,7 +40,7 @@ class Moments:
 
     @classmethod
     def halves(
-        cls, spectrum: Matrix, transform: StepTransform, more: Matrix
+        cls, spectrum: Matrix, transform: StepTransform, more: Matrix | None = None
     ) -> "tuple[Moments, Moments]":
         """Those of every other frequency, and of the rest.
 
@@ -58,7 +58,8 @@ class Moments:
             ]
             count = np.array([float(len(rows)) for rows in parts])
             total = np.stack([spectrum[rows].T @ spectrum[rows] for rows in parts])
-            total += more * (count / transform.count)[:, None, None]
+            if more is not None:
+                total += more * (count / transform.count)[:, None, None]
             level = np.array([float(np.sum(transform.eigenvalue[rows])) for rows in parts])
             usual = transform.band_levels()  # of a band of which it has no frequency
             mean = np.where(count > 0.0, level / np.maximum(count, 1.0), usual)

@@ -36,6 +36,11 @@ class Shapes:
     def __len__(self) -> int:
         return len(self.broad) + self.single.shape[1]
 
+    @property
+    def even(self) -> "Shapes":
+        """The broad ones alone: no body moves more than others of its kind."""
+        return Shapes(self.broad, self.single[:, :0])
+
     def total(self, weights: Vector) -> Matrix:
         """Sum them up by their weights, shape (n, n)."""
         scale = np.sqrt(weights[len(self.broad) :])

@@ -80,7 +80,7 @@ def scan_devices(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked)
             candidates.append(
                 Candidate(
                     kind, top.places, names, top.values, top.evidence - cost,
-                    finer=partial(_finer, kind, law, scorer, rank.grid, top, cost),
+                    finer=partial(_finer, kind, law, scorer, rank.grid, top),
                 )
             )  # fmt: skip
     return candidates
@@ -105,7 +105,6 @@ def _finer(
     scorer: Scorer,
     grid: Sequence[Values],
     top: _Found,
-    cost: float,
 ) -> Candidate:
     """Be exact, and search between the neighbours of the best value in the grid.
 
@@ -114,6 +113,7 @@ def _finer(
     """
 
     def exact(places: tuple[int, ...], values: Values) -> Candidate:
+        cost = cost_of(kind, values, scorer)
         return evaluated(kind, law, scorer, places, values, 0, top.free, cost)
 
     best, name = exact(top.places, top.values), running(grid)

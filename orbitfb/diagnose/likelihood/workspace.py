@@ -23,7 +23,7 @@ from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.estimation.colour import rarity
 from orbitfb.estimation.evidence import NormalPriors, NormalTerms
-from orbitfb.estimation.floor import distance, first_noise, improve, trusted
+from orbitfb.estimation.floor import distance, first_noise, foretold, improve, trusted
 from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
@@ -68,11 +68,13 @@ class Workspace:
         ground: Shapes that the walk may have.
         weights: Of them in the walk, shape (F,); empty before the first fit.
         reference: Of a healthy time, whose walk is the prior of this one's; None: there is none.
-        trust: Steps that the prior mean of the walk is worth; zero: the next floor tells.
+        trust: Steps that the prior mean of the walk is worth; zero: the next floor tells;
+            infinite: the ground is even, and the walk has no other shape.
         bending: Share of `bend` in what errors of these sizes should add together.
         refining: Share of it that the record shows.
         widened: Log of the factor by which undoing accepted causes widens the readings' density.
         asked: The healthy errors and their factored priors, once they were asked for.
+        uneven: What uneven ground foretells, once it was asked for.
     """
 
     signals: Signals
@@ -98,6 +100,7 @@ class Workspace:
     refining: float = 0.0
     widened: float = 0.0
     asked: list[tuple[NormalTerms, NormalPriors]] = field(default_factory=list, init=False)
+    uneven: list[float] = field(default_factory=list, init=False)
 
     @classmethod
     def of(
@@ -318,9 +321,9 @@ class Workspace:
         for _ in range(turns):
             if coloured:
                 levels, mixed = mixed.recoloured(full.left, self.transform)
-                weights = self.ground.scaled(weights, levels)
+                weights = self.shapes.scaled(weights, levels)
             mixed, weights = fit_shapes(
-                mixed, moments, self.ground, self.held, weights, rounds=rounds // turns
+                mixed, moments, self.shapes, self.held, weights, rounds=rounds // turns
             )
         shape = mixed.walk - self.held
         if self.reference is not None:
@@ -349,7 +352,39 @@ class Workspace:
 
     def trusting(self) -> "Workspace":
         """Let the next floor tell what its prior is worth, now that more is known."""
-        return self if self.reference is not None else replace(self, trust=0.0)
+        given = self.reference is not None or np.isinf(self.trust)
+        return self if given else replace(self, trust=0.0)
+
+    def even(self) -> "Workspace":
+        """The same over even ground: all bodies of a kind move alike, and nothing else moves."""
+        weights = self.weights[: len(self.ground.even)]
+        even = replace(self, weights=weights, trust=np.inf)
+        return even.with_floor(AT_FIRST).with_floor()
+
+    @property
+    def shapes(self) -> Shapes:
+        """Those of the ground that the walk has."""
+        return self.ground.even if np.isinf(self.trust) else self.ground
+
+    def unevenness(self) -> float:
+        """What ground that is not even foretells beyond ground that is [nats].
+
+        So much does a cause that is found over even ground owe: one body may move more than others,
+        and which does is as much to say as at which place a cause is. Over other ground it is none.
+        """
+        if np.isfinite(self.trust):
+            return 0.0
+        if not self.uneven:
+            halves = Moments.halves(self.left, self.transform)
+            even = self.weights[: len(self.ground.even)]
+            bodies = len(self.ground) - len(even)
+            weights = np.concatenate([even, np.zeros(bodies)])
+            known, choices = (self.noise, halves), (np.inf, *TRUST)
+            plain, *shaped = foretold(*known, self.ground.even, self.held, even, choices)
+            freely = foretold(*known, self.ground, self.held, weights, choices)
+            owed = max(*shaped, *freely) - plain - float(np.log(max(bodies, 1)))
+            self.uneven.append(max(0.0, owed))
+        return self.uneven[0]
 
     def knowing_all(self) -> "Workspace":
         """Know the information of all columns, those of a saturated model too."""
@@ -435,6 +470,8 @@ class Workspace:
         Spaces whose floors were estimated each for itself are compared by it: a floor that stands
         in for what a cause does is far from what ground makes, or makes much of one place.
         """
-        apart = 0.5 * self.trust * distance(self.noise.walk, self.shape + self.held)
-        uneven = 0.0 if self.reference is not None else self.ground.cost(self.weights)
+        apart = 0.0
+        if np.isfinite(self.trust):
+            apart = 0.5 * self.trust * distance(self.noise.walk, self.shape + self.held)
+        uneven = 0.0 if self.reference is not None else self.shapes.cost(self.weights)
         return self.log_likelihood() - apart - uneven - rarity(self.noise.colour)

@@ -97,7 +97,7 @@ def _floor(space: Workspace, moments: Moments, shaken: bool, turns: int = _TURNS
         if shaken:
             noise, sizes = fit_shaken(noise, moments, shapes, sizes, rounds=_ROUNDS)
         noise, weights = fit_shapes(
-            noise, moments, space.ground, space.held, weights, rounds=_ROUNDS
+            noise, moments, space.shapes, space.held, weights, rounds=_ROUNDS
         )
     return improve(noise, moments, noise.walk, FREELY, space.trust)
 
@@ -115,6 +115,6 @@ def _coloured(
     glance = soon.log_likelihood(left, transform) - space.noise.log_likelihood(left, transform)
     if glance < _NEAR * enough:
         return 0.0, space
-    weights = space.ground.scaled(space.weights, levels)
+    weights = space.shapes.scaled(space.weights, levels)
     after = replace(space, weights=weights).with_noise(noise).with_floor()
     return after.log_posterior() - base() - after.noise.choice_of_colour(transform), after

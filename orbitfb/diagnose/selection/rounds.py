@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
@@ -25,6 +26,8 @@ from orbitfb.estimation.priors import (
     SWALLOWED,
 )
 
+_Told = TypeVar("_Told", Candidate, FreeCourse)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
@@ -39,6 +42,11 @@ class Round:
     space: Workspace
     candidates: tuple[Candidate, ...]
     free: tuple[FreeCourse, ...]
+
+    @property
+    def unknown(self) -> tuple[FreeCourse, ...]:
+        """Unknown laws that are sure, the most telling first."""
+        return tuple(one for one in self.free if one.evidence > SURE)
 
     def left(self, told: float) -> Candidate | None:
         """The best that is sure beside causes with that evidence [nats]; None: there is none."""
@@ -86,21 +94,25 @@ def tournament(
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
         enough = enough_beside(sum(one.evidence for one in accepted), space)
-        candidates = candidates_of(space, left, tell, enough)
+        owed = space.unevenness()
+        before = enough + owed  # it is paid
+        candidates = candidates_of(space, left, tell, before)
         waits = led is None  # for readings that are drawn with it
         if led is not None:
             candidates, led = strongest([led, *candidates]), None
         candidates = [one for one in candidates if not _echo(one, accepted)]
-        if candidates and candidates[0].evidence > 0.5 * enough:
+        if candidates and candidates[0].evidence > 0.5 * before:
             space = space.saturable()  # every floor from here on begins with it
         drawn = bool(space.signals.record.filled.any())
-        candidates, bare, lost = refitted(candidates, space, enough)
+        candidates, bare, lost = refitted(candidates, space, before)
+        candidates = _less(candidates, owed)
         alone = all(map(_of_ground, accepted))
         odd = _oddness(candidates, drawn) if alone else odd
         of_bpms = any(one.kind.target == "bpm" for one in accepted)  # one of them says it all
         candidates = _last_resort(candidates, None if alone else 0.0 if of_bpms else odd, drawn)
         deaf = _coloured(accepted)
         free = [one for one in scan_free(Scorer.of(bare)) if deaf.isdisjoint(one.names)][:FINALISTS]
+        free = _less(free, owed)
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())
@@ -147,6 +159,11 @@ def tournament(
             rounds.append(Round(space, (more,), ()))
             accepted.append(more)
             space = redrawn(more.accepted(space.trusting(), spread=False))
+
+
+def _less(found: list[_Told], owed: float) -> list[_Told]:
+    """The same with less evidence, if any is owed [nats]."""
+    return [replace(one, evidence=one.evidence - owed) for one in found] if owed else found
 
 
 def _once_more(accepted: Sequence[Candidate], space: Workspace) -> Candidate | None:

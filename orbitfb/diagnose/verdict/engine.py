@@ -28,7 +28,7 @@ from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.headline import headline
 from orbitfb.diagnose.result.naming import as_in_record, geometry
 from orbitfb.diagnose.result.parts import Cause, Experiment, NotTested, Provenance
-from orbitfb.diagnose.selection.rounds import tournament
+from orbitfb.diagnose.selection.search import search
 from orbitfb.diagnose.verdict.causes import (
     ambiguous_sets,
     cause_of,
@@ -94,7 +94,7 @@ def diagnose(
         healthy = Workspace.of(beside(reference, certain.record), kinds)
     space = Workspace.of(certain.record, kinds, reference=healthy)
     tell = _Telling(progress, len(kinds))
-    accepted, rounds = tournament(space, kinds, tell)
+    accepted, rounds = search(space, kinds, tell)
     progress("taking the gap apart", _SEARCHED)
     found = named(accepted, rounds)
     verdict = judged(found, rounds)

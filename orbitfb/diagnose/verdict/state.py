@@ -41,7 +41,7 @@ def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
         causes: In the order in which they were found.
         rounds: Of the tournament; the last one shows what is left.
     """
-    left = tuple(one for one in rounds[-1].free if one.evidence > SURE)
+    left = rounds[-1].unknown
     nats = left[0].evidence if left else 0.0
     if not causes:
         return Judged("unknown" if left else "no_gap", left, nats)

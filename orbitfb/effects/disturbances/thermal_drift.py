@@ -14,8 +14,8 @@ from orbitfb.physics.places import Indices
 from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
-_OF_THE_RECORD = (0.03, 0.1, 0.3, 1.0, 30.0)
-"""Time constants that are scanned, in lengths of the record."""
+_OF_THE_RECORD = (0.03, 0.1, 0.3, 1.0, np.inf)
+"""Time constants that are scanned, in lengths of the record; infinite: the kick grows steadily."""
 
 
 class ThermalDrift(SourceKind):
@@ -45,6 +45,7 @@ class ThermalDrift(SourceKind):
                 "kick grows steadily."
             ),
             log=True,
+            optional=True,
         ),
     )
     title = "kick that grows and settles"
@@ -67,7 +68,7 @@ class ThermalDrift(SourceKind):
         length = max(float(np.ptp(record.time)), record.layout.period)
         rate, tau = self.parameters
         return tuple(
-            {"rate": rate.typical, "tau": float(np.clip(share * length, tau.low, tau.high))}
+            {"rate": rate.typical, "tau": float(np.clip(share * length, tau.low, tau.nominal))}
             for share in _OF_THE_RECORD
         )
 
@@ -75,7 +76,7 @@ class ThermalDrift(SourceKind):
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
     ) -> Effect:
         """Kick at all places, more and more."""
-        tau = values["tau"]
+        tau = _tau(values)
 
         def course(tick: int) -> float:
             return values["rate"] * tau * -math.expm1(-tick * layout.period / tau)
@@ -92,5 +93,10 @@ class ThermalDrift(SourceKind):
 
     def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
         """Towards the last kick, by a smaller share of what is left at every row."""
-        tau = values["tau"]
+        tau = _tau(values)
         return -values["rate"] * tau * np.expm1(-record.time / tau)[:, None]
+
+
+def _tau(values: Values) -> float:
+    """Time constant with which the kick settles [s]."""
+    return values.get("tau", ThermalDrift.parameters[1].nominal)

@@ -350,6 +350,21 @@ def test_kicks_are_closed_orbits_of_their_place(ring, both_planes):
         assert_allclose(pattern, np.concatenate(blocks), rtol=1e-12, atol=0)
 
 
+def test_a_kick_that_grows_steadily_needs_no_time_constant(layout):
+    """One far beyond the record makes the same; only a kick that settles pays for it."""
+    kind = effect("thermal-drift")
+    record = record_of(layout, currents_of(layout), np.zeros((ROWS, len(layout.bpms))))
+    *settling, steady = kind.grid(record)
+    plain = {"rate": steady["rate"]}
+    courses = [
+        kind.drivers(one, record, record.setpoints, record.readings) for one in (steady, plain)
+    ]
+    np.testing.assert_allclose(courses[0], courses[1])
+    np.testing.assert_allclose(courses[1][:, 0], plain["rate"] * record.time, rtol=1e-4)
+    named = [[one.name for one in kind.set_by(values, record)] for values in kind.grid(record)]
+    assert named == [["rate", "tau"]] * len(settling) + [["rate"]]
+
+
 def test_a_recorded_gap_drives_the_kick(layout):
     kind = effect("insertion-device")
     setpoints = currents_of(layout, 4)

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from orbitfb.core.errors import EstimationError
 from orbitfb.estimation.colour import rarity
 from orbitfb.estimation.evidence import NormalPriors, NormalTerms, normal_size
-from orbitfb.estimation.floor import first_noise, improve, trusted
+from orbitfb.estimation.floor import first_noise, foretold, improve, trusted
 from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
@@ -168,6 +168,27 @@ def test_the_shapes_of_the_walk_are_trusted_as_far_as_one_half_foretells_the_oth
     halves = Moments.halves(spectrum, transform, np.zeros_like(moments.total))
     assert halves[0].total + halves[1].total == pytest.approx(moments.total)
     assert trusted(mixed, halves, (100.0, 300.0, 1000.0)) == trust
+
+
+@pytest.mark.parametrize(("more", "uneven"), [(1.0, False), (40.0, True)])
+def test_one_body_that_walks_more_is_foretold_by_shapes_that_have_it(
+    more: float, uneven: bool
+) -> None:
+    rng = np.random.default_rng(8)
+    count, rows = 24, 2001
+    bodies = rng.standard_normal((count, 60)) / np.sqrt(count)
+    steps = rng.standard_normal((rows, 60)) * np.where(np.arange(60) == 17, np.sqrt(more), 1.0)
+    readings = 0.1 * (steps @ bodies.T).cumsum(axis=0) + 0.2 * rng.standard_normal((rows, count))
+    starts = np.zeros(rows, dtype=np.bool_)
+    starts[0] = True
+    transform = StepTransform.of(starts)
+    shapes = Shapes((bodies @ bodies.T, np.eye(count)), bodies, 60)
+    begin = first_noise(transform.steps(readings), shapes.broad[0])
+    halves = Moments.halves(transform.spectrum(readings), transform)
+    held, weights, choices = np.zeros((count, count)), np.zeros(0), (np.inf, 300.0)
+    even, _ = foretold(begin, halves, shapes.even, held, weights, choices)
+    freely, _ = foretold(begin, halves, shapes, held, weights, choices)
+    assert (freely > even + 10.0) == uneven
 
 
 @pytest.mark.parametrize(

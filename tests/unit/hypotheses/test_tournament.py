@@ -98,7 +98,7 @@ def test_which_correctors_lag_is_sought_together_with_their_time_constant() -> N
     grid = space.courses.grid(kind)
     longer = min((one for one in grid if one["tau"] > 0.1), key=lambda one: one["tau"])
     scanned = _Found(100.0, (2, 9), longer, free=False)
-    found = _finer(kind, law, scorer, grid, scanned, cost=0.0)
+    found = _finer(kind, law, scorer, grid, scanned)
     assert found.places == (1, 2, 6, 9)
     assert found.values["tau"] == pytest.approx(0.079, rel=0.02)
 
