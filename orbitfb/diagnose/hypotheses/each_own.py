@@ -8,7 +8,6 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.device_laws import field_of
 from orbitfb.diagnose.hypotheses.onsets.every import every, shown_together
 from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, cost_of, scales, within
 from orbitfb.diagnose.hypotheses.refit import Course, moved, spectrum_of, step_of
@@ -112,26 +111,14 @@ def _every(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> It
         pull, information = scorer.score(law.patterns, spectra)
         information = semidefinite(scorer.marginal(kind, law.patterns, spectra, information))
         terms = [NormalTerms(pull, information, np.full(devices, width**2)) for width in SCATTERED]
-        found += [(one.evidence(), values, one) for one in terms]
-    gain, values, terms = max(found, key=lambda one: one[0])
+        found += [(one.evidence(), values) for one in terms]
+    gain, values = max(found, key=lambda one: one[0])
     cost = cost_of(kind, values, scorer)
     if gain - cost <= 0.0:
         return
 
-    def exact() -> Candidate:
-        sizes = terms.mean()
-        source = Course(law, (), values, sizes)
-        courses = source.of(scorer.space.signals, values)
-        scaled = {**values, kind.linear: values[kind.linear] * float(np.sqrt(np.mean(sizes**2)))}
-        field = field_of(law, scorer, courses, (), sizes).astype(float)
-        whole = cost + terms.cost(sizes)
-        return Candidate(
-            kind, (), (), scaled, scorer.likelihood(field) - whole, cost=whole,
-            sizes=tuple(float(one * values[kind.linear]) for one in sizes),
-            field=field, sources=(source,),
-        )  # fmt: skip
-
-    yield Candidate(kind, (), (), values, gain - cost, finer=exact)
+    told = partial(every, kind, law, scorer, values, 0, cost)
+    yield Candidate(kind, (), (), values, gain - cost, finer=told)
 
 
 def _grown(
