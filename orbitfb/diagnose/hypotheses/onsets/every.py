@@ -13,6 +13,7 @@ from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.seen import semidefinite
 from orbitfb.diagnose.likelihood.terms import Single
+from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalTerms
@@ -41,7 +42,8 @@ def every(
     """All devices of a law, with sizes around zero of any scatter, from a row on or always.
 
     Each device may jump at its row by whatever stands in it, unless its law knows what it has
-    reached.
+    reached. They are told again over the floor that they leave, but for what remembers, which is
+    told device by device with its states.
 
     Args:
         kind: The effect.
@@ -71,13 +73,15 @@ def every(
     told = found * values[str(kind.linear)]
     usual = {**values, str(kind.linear): float(np.sqrt(np.mean(told**2)))}
     whole_cost = cost + lost + (float(np.log(transform.rows)) if row else 0.0)
+
+    def again(after: Workspace) -> Candidate:
+        return every(kind, law, Scorer.of(over(scorer.space, after)), values, row, cost)
+
     return Candidate(
         kind, (), (), usual, scorer.likelihood(field) - whole_cost, cost=whole_cost,
         onset=row, field=field, sizes=tuple(map(float, told)),
         sources=(Course(law, (), values, found, row),),
-        again=lambda after: every(
-            kind, law, Scorer.of(over(scorer.space, after)), values, row, cost
-        ),
+        again=None if kind.remembers else again,
     )  # fmt: skip
 
 
