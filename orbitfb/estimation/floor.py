@@ -7,7 +7,7 @@ expectation maximisation (A. Dempster, N. Laird, D. Rubin, J. R. Stat. Soc. B 39
 second moments of the transformed steps in bands of λ.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.linalg import eigh
@@ -95,14 +95,11 @@ def trusted(noise: StepNoise, halves: tuple[Moments, Moments], choices: Sequence
         halves: Moments of every other frequency, and of the rest.
         choices: Counts to choose from.
     """
-    worth = [
-        sum(
-            other.log_density(improve(noise, one, noise.walk, _GLANCE, counts))
-            for one, other in (halves, halves[::-1])
-        )
-        for counts in choices
-    ]
-    return choices[int(np.argmax(worth))]
+
+    def told(half: Moments) -> list[StepNoise]:
+        return [improve(noise, half, noise.walk, _GLANCE, counts) for counts in choices]
+
+    return choices[int(np.argmax(_by_the_other(halves, told)))]
 
 
 def foretold(
@@ -126,12 +123,22 @@ def foretold(
         weights: Of the shapes, to begin with, shape (F,).
         choices: What the shapes may be worth as a prior, in steps; of each it is told.
     """
-    worth = [0.0] * len(choices)
-    for one, other in (halves, halves[::-1]):
-        mixed, _ = fit_shapes(noise, one, shapes, held, weights)
-        for place, counts in enumerate(choices):
-            worth[place] += other.log_density(improve(mixed, one, mixed.walk, FREELY, counts))
-    return worth
+
+    def told(half: Moments) -> list[StepNoise]:
+        mixed, _ = fit_shapes(noise, half, shapes, held, weights)
+        return [improve(mixed, half, mixed.walk, FREELY, counts) for counts in choices]
+
+    return _by_the_other(halves, told)
+
+
+def _by_the_other(
+    halves: tuple[Moments, Moments], told: Callable[[Moments], list[StepNoise]]
+) -> list[float]:
+    """Log density of the halves, each under the floor that the other tells, of every such floor."""
+    first, second = (
+        [other.log_density(floor) for floor in told(one)] for one, other in (halves, halves[::-1])
+    )
+    return [sum(both) for both in zip(first, second, strict=True)]
 
 
 def distance(walk: Matrix, prior: Matrix) -> float:

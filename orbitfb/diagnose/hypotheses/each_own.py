@@ -1,6 +1,6 @@
 """Some devices with the same law and values of each one's own."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,7 +16,7 @@ from orbitfb.diagnose.hypotheses.sets import grown_apart
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.seen import semidefinite
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalTerms, given_size
 from orbitfb.estimation.priors import (
@@ -71,10 +71,7 @@ def _undone(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> l
     gain = float(shown_together(best[None])[0])
     if gain <= 0.0:
         return []
-    values = rank.grid[0]
-    cost = cost_of(kind, values, scorer)
-    told = partial(every, kind, law, scorer, values, 0, cost)
-    return [Candidate(kind, (), (), values, gain - cost, finer=told)]
+    return _of_all(kind, law, scorer, rank.grid[0], gain)
 
 
 def _some(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> list[Candidate]:
@@ -96,7 +93,7 @@ def _some(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> lis
     ]  # fmt: skip
 
 
-def _every(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> Iterator[Candidate]:
+def _every(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> list[Candidate]:
     """All devices with sizes around zero of any scatter, at the value that tells most of them.
 
     No single one need show: a course that all have in common may hide in the floor, which any
@@ -104,7 +101,7 @@ def _every(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> It
     """
     devices = len(law.names)
     if kind.linear is None or devices < 2:
-        return
+        return []
     found = []
     for values in rank.promising or rank.grid[-1:]:
         spectra = scorer.space.courses.spectra(law, values)
@@ -113,12 +110,16 @@ def _every(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> It
         terms = [NormalTerms(pull, information, np.full(devices, width**2)) for width in SCATTERED]
         found += [(one.evidence(), values) for one in terms]
     gain, values = max(found, key=lambda one: one[0])
-    cost = cost_of(kind, values, scorer)
-    if gain - cost <= 0.0:
-        return
+    return _of_all(kind, law, scorer, values, gain)
 
+
+def _of_all(
+    kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values, gain: float
+) -> list[Candidate]:
+    """All devices at some values, told exactly later, if that is worth what the values cost."""
+    cost = cost_of(kind, values, scorer)
     told = partial(every, kind, law, scorer, values, 0, cost)
-    yield Candidate(kind, (), (), values, gain - cost, finer=told)
+    return [Candidate(kind, (), (), values, gain - cost, finer=told)] if gain > cost else []
 
 
 def _grown(

@@ -352,7 +352,7 @@ class Workspace:
 
     def trusting(self) -> "Workspace":
         """Let the next floor tell what its prior is worth, now that more is known."""
-        given = self.reference is not None or np.isinf(self.trust)
+        given = self.reference is not None or self.is_even
         return self if given else replace(self, trust=0.0)
 
     def even(self) -> "Workspace":
@@ -362,17 +362,22 @@ class Workspace:
         return even.with_floor(AT_FIRST).with_floor()
 
     @property
+    def is_even(self) -> bool:
+        """Whether the ground is taken to be even."""
+        return bool(np.isinf(self.trust))
+
+    @property
     def shapes(self) -> Shapes:
         """Those of the ground that the walk has."""
-        return self.ground.even if np.isinf(self.trust) else self.ground
+        return self.ground.even if self.is_even else self.ground
 
     def unevenness(self) -> float:
         """What ground that is not even foretells beyond ground that is [nats].
 
         So much does a cause that is found over even ground owe: one body may move more than others,
-        and which does is as much to say as at which place a cause is. Over other ground it is none.
+        and to say which is as much as to say where a cause is. Over other ground nothing is owed.
         """
-        if np.isfinite(self.trust):
+        if not self.is_even:
             return 0.0
         if not self.uneven:
             halves = Moments.halves(self.left, self.transform)
@@ -470,8 +475,8 @@ class Workspace:
         Spaces whose floors were estimated each for itself are compared by it: a floor that stands
         in for what a cause does is far from what ground makes, or makes much of one place.
         """
-        apart = 0.0
-        if np.isfinite(self.trust):
+        apart = 0.0  # over even ground the walk has no other shape
+        if not self.is_even:
             apart = 0.5 * self.trust * distance(self.noise.walk, self.shape + self.held)
         uneven = 0.0 if self.reference is not None else self.shapes.cost(self.weights)
         return self.log_likelihood() - apart - uneven - rarity(self.noise.colour)

@@ -95,16 +95,16 @@ def tournament(
         left = [kind for kind in kinds if kind.id not in told]
         enough = enough_beside(sum(one.evidence for one in accepted), space)
         owed = space.unevenness()
-        before = enough + owed  # it is paid
-        candidates = candidates_of(space, left, tell, before)
+        gross = enough + owed
+        candidates = candidates_of(space, left, tell, gross)
         waits = led is None  # for readings that are drawn with it
         if led is not None:
             candidates, led = strongest([led, *candidates]), None
         candidates = [one for one in candidates if not _echo(one, accepted)]
-        if candidates and candidates[0].evidence > 0.5 * before:
+        if candidates and candidates[0].evidence > 0.5 * gross:
             space = space.saturable()  # every floor from here on begins with it
         drawn = bool(space.signals.record.filled.any())
-        candidates, bare, lost = refitted(candidates, space, before)
+        candidates, bare, lost = refitted(candidates, space, gross)
         candidates = _less(candidates, owed)
         alone = all(map(_of_ground, accepted))
         odd = _oddness(candidates, drawn) if alone else odd

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.selection.rounds import tournament
+from orbitfb.diagnose.selection.rounds import Round, tournament
 from orbitfb.diagnose.selection.search import search
 from orbitfb.estimation.priors import SURE
 from orbitfb.records.record import Record
@@ -60,10 +61,25 @@ def test_a_healthy_ring_has_no_cause_over_even_ground() -> None:
     assert rounds[-1].unknown == ()
 
 
-def test_ground_that_is_uneven_says_so() -> None:
-    even = workspace(standing_on(ground=12.0)).even()
-    assert even.unevenness() > SURE
-    assert search(workspace(standing_on(ground=12.0)), kinds_for(standing_on()))[0] == []
+def test_where_ground_is_surely_uneven_nothing_more_is_sought(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    record = standing_on(ground=12.0)
+    space = workspace(record)
+    assert space.unevenness() == 0.0  # it may be uneven: nothing is owed
+    assert space.even().unevenness() > SURE
+    assert search(space, kinds_for(record))[0] == []  # over even ground the body has a name
+    over: list[bool] = []
+
+    def nothing(its: Workspace, *given: object) -> tuple[list[Candidate], list[Round]]:
+        over.append(its.is_even)
+        return [], [Round(its, (), ())]
+
+    monkeypatch.setattr("orbitfb.diagnose.selection.search.tournament", nothing)
+    search(space, kinds_for(record))
+    assert over == [False]
+    search(workspace(standing_on()), kinds_for(record))
+    assert over == [False, False, True]
 
 
 def test_even_ground_stays_even() -> None:
