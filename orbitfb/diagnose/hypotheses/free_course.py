@@ -1,16 +1,17 @@
 """An unknown law: any course that the past of devices, its square and time make, or odd noise.
 
 The course of a device is a free sum of its own motion now and some rows ago, of what fades slowly
-of it, of its powers, and of its motion that grows, fades or swings slowly: a model that knows no
-law by name. Its sizes have a prior whose width the record tells. Where it explains more than every
-law of the library, what the device does is in no library; where it finds more beside a law that was
-accepted, the device does something else besides. So it is with a course that the devices of a cell,
-or all BPMs or all correctors, have alike, with noise whose level follows the beam, and with a place
-that kicks more than the ground does in some band of frequencies, whatever its course.
+of it, of its powers, of how far it moves whichever way, and of its motion that grows, fades or
+swings slowly: a model that knows no law by name. Its sizes have a prior whose width the record
+tells. Where it explains more than every law of the library, what the device does is in no library;
+where it finds more beside a law that was accepted, the device does something else besides. So it is
+with a course that the devices of a cell, or all BPMs or all correctors, have alike, with noise
+whose level follows the beam, and with a place that kicks more than the ground does in some band of
+frequencies, whatever its course.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -18,7 +19,9 @@ from scipy.signal import lfilter
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.noise.levels import free_level
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.likelihood.weighed import Weighed
 from orbitfb.effects.kicks import source_names, source_patterns
+from orbitfb.effects.laws import Signals
 from orbitfb.estimation.priors import (
     FREE_BANDS,
     FREE_LAGS,
@@ -39,14 +42,18 @@ class FreeCourse:
         target: `bpm`, `corrector`, `noise` for the level of a BPM's noise, or `source` for a place
             that kicks.
         names: Of the devices that follow it alike; empty: all of them.
-        cell: That they are, if several and not all are.
         evidence: Log evidence less the choice of devices and width [nats].
+        cell: That they are, if several and not all are.
+        places: Their numbers; empty: none of them has a course.
+        cost: Of that choice [nats].
     """
 
     target: str
     names: tuple[str, ...]
     evidence: float
     cell: str = ""
+    places: tuple[int, ...] = ()
+    cost: float = 0.0
 
     @property
     def of_all(self) -> bool:
@@ -59,10 +66,8 @@ def scan_free(scorer: Scorer) -> list[FreeCourse]:
     signals = scorer.space.signals
     layout = signals.record.layout
     found: list[FreeCourse] = []
-    for target, devices, patterns, motion in (
-        ("bpm", layout.bpms, np.eye(len(layout.bpms)), signals.orbit),
-        ("corrector", layout.correctors, layout.response, signals.currents),
-    ):
+    for target, devices in (("bpm", layout.bpms), ("corrector", layout.correctors)):
+        patterns, motion = _moving(target, signals)
         basis = _basis(motion, scorer.space.transform)
         cells = _cells(devices)
         cost = float(np.log(1 + len(devices) + len(cells))) + VALUE_COST
@@ -71,11 +76,12 @@ def scan_free(scorer: Scorer) -> list[FreeCourse]:
             _worth(scorer, patterns, basis, [members for _, members in cells]),
             strict=True,
         ):
-            names = tuple(devices.label(place) for place in members)
-            found.append(FreeCourse(target, names, float(worth) - cost, cell))
+            names, places = tuple(map(devices.label, members)), tuple(map(int, members))
+            found.append(FreeCourse(target, names, float(worth) - cost, cell, places, cost))
         # Without dither a loop makes a ground that does not walk look like a law of all devices.
         if not np.any(scorer.space.noise.colour):
-            found.append(FreeCourse(target, (), _alike(scorer, patterns, basis) - cost))
+            every = FreeCourse(target, (), 0.0, "", tuple(range(len(devices))), cost)
+            found.append(exactly(every, scorer)[0])
     alike, apart = free_level(scorer)
     cost = float(np.log(1 + len(apart)))
     found.append(FreeCourse("noise", (), alike - cost))
@@ -85,6 +91,37 @@ def scan_free(scorer: Scorer) -> list[FreeCourse]:
     ]
     found += _sources(scorer)
     return sorted(found, key=lambda one: -one.evidence)
+
+
+def exactly(one: FreeCourse, scorer: Weighed) -> tuple[FreeCourse, Matrix, float]:
+    """Weigh the course that some devices have alike beside all healthy errors.
+
+    Args:
+        one: Of devices.
+        scorer: Of what is left to explain.
+
+    Returns:
+        The same with its evidence; the spectrum of what it adds to the readings with its likeliest
+        sizes, shape (T, n) [m]; and what its log likelihood is more than its evidence [nats].
+    """
+    transform, places = scorer.space.transform, list(one.places)
+    patterns, motion = _moving(one.target, scorer.space.signals)
+    seen = patterns[:, places].T.astype(np.float32)
+    basis = _basis(motion[:, places], transform)
+    fields = [transform.quick_spectrum(course) @ seen for course in basis]
+    pull, information = scorer.evaluate(fields)
+    _, sizes, less = _evidence(pull[None], information[None])
+    field = np.tensordot(sizes[0], np.stack(fields), axes=1)
+    cost = one.cost + float(less[0])
+    return replace(one, evidence=scorer.likelihood(field) - cost), field, cost
+
+
+def _moving(target: str, signals: Signals) -> tuple[Matrix, Matrix]:
+    """Patterns of BPMs or correctors, shape (n, D) [m], and how they move, shape (N, D)."""
+    layout = signals.record.layout
+    if target == "bpm":
+        return np.eye(len(layout.bpms)), signals.orbit
+    return layout.response, signals.currents
 
 
 def _cells(devices: Devices) -> list[tuple[str, Indices]]:
@@ -148,31 +185,31 @@ def _worth(
         for number, one in enumerate(cells, len(own)):
             weighed = np.tensordot(precision[np.ix_(one, one)], part[one], axes=1)
             information[number] += np.einsum("dkf,dlf->kl", weighed, part[one], optimize=True)
-    return _evidence(pull, information)
+    return _evidence(pull, information)[0]
 
 
-def _alike(scorer: Scorer, patterns: Matrix, basis: Sequence[Matrix]) -> float:
-    """Log evidence of a free course that is the same for all devices."""
-    transform = scorer.space.transform
-    fields = [transform.quick_spectrum(one) @ patterns.T.astype(np.float32) for one in basis]
-    pull, information = scorer.evaluate(fields)
-    return float(_evidence(pull[None], information[None])[0])
-
-
-def _evidence(pull: Vector, information: Matrix) -> Vector:
-    """Log evidence of sizes with the best of some widths, shape (D,).
+def _evidence(pull: Vector, information: Matrix) -> tuple[Vector, Matrix, Vector]:
+    """Log evidence of sizes with the best of some widths.
 
     Args:
         pull: Shape (D, K).
         information: Shape (D, K, K).
+
+    Returns:
+        The evidence, shape (D,), the sizes, (D, K), and what their likelihood is more, (D,).
     """
-    best = np.full(len(pull), -np.inf)
+    best, cost = np.full(len(pull), -np.inf), np.zeros(len(pull))
+    sizes = np.zeros_like(pull)
     for width in FREE_WIDTHS:
         inner = np.eye(pull.shape[1]) + width**2 * information
-        solved = np.linalg.solve(inner, pull[:, :, None])[:, :, 0]
-        gain = 0.5 * width**2 * np.einsum("dk,dk->d", pull, solved)
-        best = np.maximum(best, gain - 0.5 * np.linalg.slogdet(inner)[1])
-    return best
+        found = width**2 * np.linalg.solve(inner, pull[:, :, None])[:, :, 0]
+        wide = 0.5 * np.linalg.slogdet(inner)[1]
+        worth = 0.5 * np.einsum("dk,dk->d", pull, found) - wide
+        far = 0.5 * np.sum((found / width) ** 2, axis=1)
+        better = worth > best
+        best, cost = np.where(better, worth, best), np.where(better, wide + far, cost)
+        sizes = np.where(better[:, None], found, sizes)
+    return best, sizes, cost
 
 
 def _fading(motion: Matrix, transform: StepTransform) -> Sequence[Matrix]:
@@ -198,7 +235,7 @@ def _basis(motion: Matrix, transform: StepTransform) -> Sequence[Matrix]:
         for part in transform.stretches:
             late[part] = about[np.maximum(np.arange(part.start, part.stop) - lag, part.start)]
         courses.append(late - courses[0])
-    courses += [about * about / scale, about**3 / scale**2]
+    courses += [about * about / scale, about**3 / scale**2, np.abs(courses[1])]
     course = np.arange(len(about)) / max(len(about) - 1, 1)
     for half in range(1, FREE_WAVES + 1):
         courses.append(about * np.cos(np.pi * half * course)[:, None])

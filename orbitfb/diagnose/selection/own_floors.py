@@ -14,9 +14,7 @@ from orbitfb.diagnose.selection.settled import settled
 from orbitfb.estimation.priors import CLOSE, HEARD, LEADING, MISFIT, SURE, SWALLOWED
 
 
-def refitted(
-    candidates: Sequence[Candidate], space: Workspace, enough: float = SURE
-) -> tuple[list[Candidate], Workspace, float]:
+def refitted(candidates: Sequence[Candidate], space: Workspace, enough: float = SURE) -> "Weighing":
     """Compare those that lead under floors that are estimated with each of them.
 
     A floor that was estimated without a cause stands in for what the cause does as far as it can,
@@ -36,15 +34,12 @@ def refitted(
         space: That they were tried on.
         enough: Evidence from which one is accepted [nats]; half of it may be in the floor.
 
-    Returns:
-        The candidates, the best first; the workspace over the best floor without any; and by how
-        much that is likelier than the floor of the saturated model's rest [nats].
     """
     # Noise has no floor of its own. Where it leads, a law whose course is told may be what is odd
     # in it; a random course would be as odd as the noise.
     coursed = bool(candidates) and candidates[0].noisy
     if not any(one.evidence >= 0.5 * enough and _is_weighed(one, coursed) for one in candidates):
-        return list(candidates), space, 0.0
+        return Weighing(list(candidates), space)
     candidates = [device_by_device(one, space) for one in candidates]
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
@@ -74,7 +69,24 @@ def refitted(
             if more > 0.0:
                 base, bare, lost = base + more, lower, lost + more
                 rivals.lose(more)
-    return rivals.ranked(), bare, lost
+    return Weighing(rivals.ranked(), bare, base, lost)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighing:
+    """What leads, weighed.
+
+    Args:
+        candidates: The best first.
+        bare: The workspace over the best floor without any of them.
+        base: Log posterior over that; None: none of them had a floor of its own.
+        lost: By how much it is likelier than the floor of the saturated model's rest [nats].
+    """
+
+    candidates: list[Candidate]
+    bare: Workspace
+    base: float | None = None
+    lost: float = 0.0
 
 
 @dataclass(slots=True)

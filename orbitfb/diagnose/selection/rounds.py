@@ -4,17 +4,26 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+import numpy as np
+
 from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
-from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
+from orbitfb.diagnose.hypotheses.free_course import FreeCourse
 from orbitfb.diagnose.hypotheses.scan import candidates_of
-from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over, redrawn
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.beside import enough_beside, is_another
+from orbitfb.diagnose.selection.echoes import (
+    coloured_names,
+    is_echo,
+    is_of_ground,
+    last_resort,
+    oddness,
+)
 from orbitfb.diagnose.selection.healthy_motion import with_motion
 from orbitfb.diagnose.selection.own_floors import refitted
 from orbitfb.diagnose.selection.settled import settled
 from orbitfb.diagnose.selection.undecided import drawn_with, leaders, undecided
+from orbitfb.diagnose.selection.unknown import unknown_laws
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.priors import (
     AT_ONCE,
@@ -23,7 +32,6 @@ from orbitfb.estimation.priors import (
     REMAINDER,
     ROUNDS,
     SURE,
-    SWALLOWED,
 )
 
 _Told = TypeVar("_Told", Candidate, FreeCourse)
@@ -47,6 +55,22 @@ class Round:
     def unknown(self) -> tuple[FreeCourse, ...]:
         """Unknown laws that are sure, the most telling first."""
         return tuple(one for one in self.free if one.evidence > SURE)
+
+    def nameless(self, first: float, together: float) -> FreeCourse | None:
+        """An unknown law that is surely likelier than what is named; None: there is none.
+
+        What all devices do alike may be several causes of the library, a device or cell does one.
+        A law that knows no form takes what every law of the library leaves that is a little wrong.
+
+        Args:
+            first: Evidence of the first cause [nats].
+            together: Of all [nats].
+        """
+        for one in self.free:
+            known = together if one.of_all else first
+            if one.evidence > known + enough_beside(known, self.space):
+                return one
+        return None
 
     def left(self, told: float) -> Candidate | None:
         """The best that is sure beside causes with that evidence [nats]; None: there is none."""
@@ -100,19 +124,19 @@ def tournament(
         waits = led is None  # for readings that are drawn with it
         if led is not None:
             candidates, led = strongest([led, *candidates]), None
-        candidates = [one for one in candidates if not _echo(one, accepted)]
+        candidates = [one for one in candidates if not is_echo(one, accepted)]
         if candidates and candidates[0].evidence > 0.5 * gross:
             space = space.saturable()  # every floor from here on begins with it
         drawn = bool(space.signals.record.filled.any())
-        candidates, bare, lost = refitted(candidates, space, gross)
-        candidates = _less(candidates, owed)
-        alone = all(map(_of_ground, accepted))
-        odd = _oddness(candidates, drawn) if alone else odd
+        weighing = refitted(candidates, space, gross)
+        candidates, lost = _less(weighing.candidates, owed), weighing.lost
+        alone = all(map(is_of_ground, accepted))
+        odd = oddness(candidates, drawn) if alone else odd
         of_bpms = any(one.kind.target == "bpm" for one in accepted)  # one of them says it all
-        candidates = _last_resort(candidates, None if alone else 0.0 if of_bpms else odd, drawn)
-        deaf = _coloured(accepted)
-        free = [one for one in scan_free(Scorer.of(bare)) if deaf.isdisjoint(one.names)][:FINALISTS]
-        free = _less(free, owed)
+        candidates = last_resort(candidates, None if alone else 0.0 if of_bpms else odd, drawn)
+        deaf = coloured_names(accepted)
+        base = None if accepted else weighing.base  # beside causes it is a share of them
+        free = _less(unknown_laws(weighing.bare, candidates[:1], deaf, base), owed)
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())
@@ -125,7 +149,10 @@ def tournament(
         unnamed = max((one.evidence for one in free if not one.of_all), default=0.0)
         if best is None and unnamed <= SURE:
             return accepted, rounds
-        moving = with_motion(space, max(0.0 if best is None else best.evidence, unnamed))
+        # What all do alike beside causes is a share of them.
+        of_all = 0.0 if accepted else max((one.evidence for one in free), default=0.0)
+        telling = max(0.0 if best is None else best.evidence, unnamed, of_all)
+        moving = with_motion(space, telling)
         if moving is not None:
             tell("top healthy motion")
             space = moving
@@ -135,8 +162,11 @@ def tournament(
             continue
         if best is None or causes == ROUNDS or _composed([*accepted, best]):
             return accepted, rounds
-        if not accepted and unnamed > best.evidence:
-            return accepted, rounds  # nothing of the library is as good as a law without a name
+        named = sum(one.candidates[0].evidence for one in rounds)
+        if causes >= AT_ONCE and rounds[0].nameless(np.inf, named) is not None:
+            return accepted, rounds
+        if not accepted and rounds[-1].nameless(best.evidence, np.inf) is not None:
+            return accepted, rounds  # nothing of the library is as good
         rivals = undecided(leaders(candidates), space) if waits else []
         if rivals:
             best, space = drawn_with(rivals, space)
@@ -199,97 +229,6 @@ def _composed(causes: Sequence[Candidate]) -> bool:
     whole = sum(one.evidence for one in causes)
     large = [one for one in causes if one.evidence > REMAINDER * whole]
     return len({"" if one.raised else one.kind.id for one in large}) > AT_ONCE
-
-
-def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:
-    """Whether it says again what is said of its BPMs.
-
-    A BPM that averages, scales or delays does so to its noise as well, and what its law leaves
-    wanders with the orbit: its noise, or what it reads, is not odd besides. And of a BPM whose
-    noise is told to remember no law of its readings is: a feedback that acts on them makes the beam
-    follow that noise, which looks like a law, and no floor has such a noise. One law is enough for
-    the noise of a BPM: no floor has it, so that others would be as true. Readings are undone as
-    they were read, so once only. And what a wave leaves, as the optics are a little wrong, is that
-    wave, wherever another effect finds it.
-    """
-    if _is_same_wave(one, accepted):
-        return True
-    if one.kind.target != "bpm":
-        return False
-    if one.undone is not None and any(
-        its.kind.target == "bpm" and set(its.places) & set(one.places) for its in accepted
-    ):
-        return True
-    if one.places and set(one.names) <= _coloured(accepted):
-        return True
-    if not (one.noisy or one.courseless):
-        return False
-    known = [
-        set(its.places)
-        for its in accepted
-        if its.kind.target == "bpm" and (one.noisy or not its.noisy)
-    ]
-    return any(not places or (one.places and set(one.places) <= places) for places in known)
-
-
-def _is_same_wave(one: Candidate, accepted: Sequence[Candidate]) -> bool:
-    """Whether another effect is accepted as a wave that the record cannot tell from this one's."""
-    if one.cycles is None or one.field is None:
-        return False
-    waves = [its.cycles for its in accepted if its.cycles is not None and its.kind is not one.kind]
-    return any(abs(its - one.cycles) * len(one.field) < 1.0 for its in waves)
-
-
-def _coloured(accepted: Sequence[Candidate]) -> set[str]:
-    """Names of single BPMs whose noise is told to remember."""
-    return {name for one in accepted if one.coloured for name in one.names}
-
-
-def _is_odd_noise(one: Candidate, drawn: bool) -> bool:
-    """Whether it says no more than that noise is odd, as any law that is not known yet makes it.
-
-    Args:
-        one: In question.
-        drawn: Whether readings were drawn, which have nothing of such a law.
-    """
-    return one.noisy and (drawn or one.courseless)
-
-
-def _oddness(candidates: Sequence[Candidate], drawn: bool) -> float:
-    """Evidence that noise is odd [nats]."""
-    return max((one.evidence for one in candidates if _is_odd_noise(one, drawn)), default=0.0)
-
-
-def _last_resort(candidates: list[Candidate], before: float | None, drawn: bool) -> list[Candidate]:
-    """Tell that the noise of a BPM is unlike the others' only where nothing else is told.
-
-    Whatever a BPM does that is in no law adds to its noise. Where readings were drawn, so does any
-    law that is not known yet: nothing of it is in those. A random course is no such law, and how
-    much the ground moves leaves a BPM as odd as it is. A law of other devices that makes a BPM odd
-    says more than that it is, but for what the floor may have of the law; one of BPMs, told to
-    first order, or of readings that were drawn without it at least a share. And beside one of them
-    that was accepted a BPM is odd that was as odd before: what such a law leaves is a share.
-
-    Args:
-        candidates: The best first.
-        before: How odd a BPM was before any law was accepted [nats]; None: no law is yet.
-        drawn: Whether readings were drawn.
-    """
-    odd = _oddness(candidates, drawn)
-    others = [one for one in candidates if not _is_odd_noise(one, drawn)]
-    if before is not None:
-        as_before = before > SURE and odd > before / SWALLOWED
-        return candidates if as_before and not drawn else others
-    told = [one for one in others if not (_of_ground(one) or (drawn and one.courseless))]
-    if not told:
-        return candidates
-    share = REMAINDER if drawn or told[0].kind.target == "bpm" else 1.0 / SWALLOWED
-    return others if told[0].evidence >= max(SURE, share * odd) else candidates
-
-
-def _of_ground(one: Candidate) -> bool:
-    """Whether it says only how much the ground moves."""
-    return one.noisy and one.kind.target == "ring"
 
 
 def _light(candidates: list[Candidate]) -> list[Candidate]:

@@ -10,7 +10,7 @@ from orbitfb.diagnose.result.diagnosis import State
 from orbitfb.diagnose.result.parts import Shrink
 from orbitfb.diagnose.selection.rounds import Round
 from orbitfb.diagnose.verdict.proved import Proved
-from orbitfb.estimation.priors import CERTAIN, REMAINDER, SURE
+from orbitfb.estimation.priors import CERTAIN, REMAINDER
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +47,11 @@ def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
         return Judged("unknown" if left else "no_gap", left, nats)
     first = causes[0]
     told = sum(one.evidence for one in causes)
-    # What all devices do alike may be several causes of the library, a device or cell does one.
     named = sum(one.candidates[0].evidence for one in rounds[:-1])
-    for one in rounds[0].free:
-        enough = named + SURE if one.of_all else first.evidence
-        if one.evidence > max(enough, SURE):
-            share = told / (told + one.evidence)
-            return Judged("unknown", (one,), one.evidence, explained=share)
+    nameless = rounds[0].nameless(first.evidence, named)
+    if nameless is not None:
+        share = told / (told + nameless.evidence)
+        return Judged("unknown", (nameless,), nameless.evidence, explained=share)
     rest = rounds[-1].left(told) if len(rounds) > 1 else None
     if rest is not None and rest.evidence > max(nats, REMAINDER * told):
         state: State = "unknown" if rest.evidence > told else "named_plus_remainder"

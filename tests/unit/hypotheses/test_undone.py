@@ -8,7 +8,8 @@ import pytest
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.selection.rounds import _echo, tournament
+from orbitfb.diagnose.selection.echoes import is_echo
+from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.registry import effect
 from orbitfb.physics.optics import Matrix
 from tests.unit.hypotheses.small_records import NOISE, Bent, kinds_for, make_record, recorded
@@ -78,8 +79,8 @@ def test_readings_are_undone_once() -> None:
         undone=lambda space: (np.zeros_like(space.residual), 0.0),
     )  # fmt: skip
     curve = Candidate(effect("bpm-nonlinearity"), (7,), ("B7 (x)",), {"quadratic": 1.0}, 2000.0)
-    assert _echo(polarity, [curve])
-    assert not _echo(polarity, [replace(curve, places=(6,))])
+    assert is_echo(polarity, [curve])
+    assert not is_echo(polarity, [replace(curve, places=(6,))])
 
 
 def test_a_curve_is_told_in_both_of_its_sizes() -> None:

@@ -7,6 +7,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.impact.named import named
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection import rounds
+from orbitfb.diagnose.selection.own_floors import Weighing
 from orbitfb.diagnose.verdict.causes import unknown_of
 from orbitfb.diagnose.verdict.state import judged
 from orbitfb.effects.registry import effect
@@ -23,9 +24,7 @@ def found(monkeypatch: pytest.MonkeyPatch, *told: Candidate) -> tuple[list[Candi
     """A tournament in which each of them leads a round, and then none."""
     ahead = iter([one] for one in told)
     monkeypatch.setattr(rounds, "candidates_of", lambda *given: next(ahead, []))
-    monkeypatch.setattr(
-        rounds, "refitted", lambda candidates, space, *given: (candidates, space, 0.0)
-    )
+    monkeypatch.setattr(rounds, "refitted", lambda found, space, *given: Weighing(found, space))
     monkeypatch.setattr(rounds, "with_motion", lambda *given: None)
     monkeypatch.setattr(Candidate, "accepted", lambda one, space, spread=True: space)
     return rounds.tournament(Workspace.of(make_record(41), [effect("bpm-gain")]), [])

@@ -10,6 +10,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection import rounds
 from orbitfb.diagnose.selection.beside import enough_beside
+from orbitfb.diagnose.selection.echoes import is_echo
 from orbitfb.diagnose.selection.healthy_motion import _GLIMPSE, _TURNS, _floor
 from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.registry import effect
@@ -142,8 +143,8 @@ def test_one_law_of_its_noise_is_enough_for_a_bpm() -> None:
         return Candidate(effect(name), places, told, {}, 100.0, noisy=True)
 
     accepted = [noisy("noise-level", 1, 2)]
-    assert rounds._echo(noisy("noise-tails", 2), accepted)
-    assert not rounds._echo(noisy("noise-tails", 3), accepted)
+    assert is_echo(noisy("noise-tails", 2), accepted)
+    assert not is_echo(noisy("noise-tails", 3), accepted)
 
 
 @pytest.mark.nightly

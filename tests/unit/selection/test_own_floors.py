@@ -12,7 +12,8 @@ from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection import own_floors, rounds, settled
-from orbitfb.diagnose.selection.own_floors import _Rivals, _under, refitted
+from orbitfb.diagnose.selection.echoes import last_resort
+from orbitfb.diagnose.selection.own_floors import Weighing, _Rivals, _under, refitted
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import effect
 from orbitfb.records.record import Record
@@ -54,7 +55,7 @@ def test_a_wave_and_a_walk_of_one_effect_are_weighed_each() -> None:
     walks = next(one for one in found if one.kind.id == "energy-drift" and one.walk is not None)
     others = [one for one in found if one is not told and one is not walks]
     first = replace(walks, evidence=told.evidence + 1.0)
-    best = refitted([first, told, *others], space)[0][0]
+    best = refitted([first, told, *others], space).candidates[0]
     assert (best.kind.id, best.walk) == ("energy-drift", None)
 
 
@@ -66,7 +67,7 @@ def test_the_course_of_a_gap_is_told_over_the_floor_that_it_leaves() -> None:
     source = 12
     pattern = LAYOUT.orbit_per_kick("QUAD", "x")[:, source]
     space, found = scanned(record_with(np.outer(course, pattern), 21))
-    best = refitted(found, space)[0][0]
+    best = refitted(found, space).candidates[0]
     assert best.kind.id == "insertion-device"
     assert best.names == (f"{RING.names('QUAD')[source]} (x)",)
     left = np.asarray(best.field) - space.transform.spectrum(np.outer(course, pattern))
@@ -83,7 +84,7 @@ def test_a_law_is_weighed_under_its_own_floor_though_noise_leads() -> None:
     noise = Candidate(
         effect("noise-coloured"), (), (), {"correlation": -0.2}, told.evidence + 1.0, noisy=True
     )
-    best = refitted([noise, told], space)[0][0]
+    best = refitted([noise, told], space).candidates[0]
     assert best.kind.id == "energy-drift"
     assert best.evidence > told.evidence
 
@@ -116,9 +117,7 @@ def test_of_a_bpm_whose_noise_remembers_no_law_of_its_readings_is_told(
     late = Candidate(effect("bpm-latency"), (3,), ("B3 (x)",), {"ticks": 1.0}, 100.0)
     found = iter(([noise, late], [late], []))
     monkeypatch.setattr(rounds, "candidates_of", lambda *given: next(found))
-    monkeypatch.setattr(
-        rounds, "refitted", lambda candidates, space, *given: (candidates, space, 0.0)
-    )
+    monkeypatch.setattr(rounds, "refitted", lambda found, space, *given: Weighing(found, space))
     accepted, _ = rounds.tournament(Workspace.of(record, [effect("bpm-gain")]), [])
     assert accepted == ([noise] if coloured else [noise, late])
 
@@ -137,7 +136,7 @@ def test_a_rival_shows_under_the_floor_of_what_leads(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(own_floors, "LEADING", 1)
     first = replace(slew, evidence=true.evidence + 1.0)
     least = replace(true, evidence=0.2 * true.evidence)
-    (best, second), *_ = refitted([first, least], space)
+    best, second = refitted([first, least], space).candidates
     assert (best.kind.id, second.kind.id) == ("corrector-stuck", "corrector-slew")
     assert best.evidence > 1.1 * true.evidence
 
@@ -149,7 +148,7 @@ def test_under_the_floor_of_another_one_none_has_more_than_under_its_own() -> No
     told = [one for one in found if one.additive and one.cost is not None and one.evidence > 0.0]
     space = space.saturable()
     base = space.with_floor().log_posterior()
-    own = [refitted([one], space)[0][0] for one in told]
+    own = [refitted([one], space).candidates[0] for one in told]
     best = int(np.argmax([one.evidence for one in own]))
     told[best], after = own[best], own[best].after
     assert after is not None
@@ -172,7 +171,7 @@ def test_a_form_of_an_effect_does_not_stand_for_another_one() -> None:
     single = next(one for one in found if one.sources and len(one.places) == 1)
     some = next(one for one in found if one.columns)
     assert some.evidence > 1.5 * single.evidence
-    (best, *_), *_ = refitted([replace(single, evidence=2.0 * some.evidence), some], space)
+    best, *_ = refitted([replace(single, evidence=2.0 * some.evidence), some], space).candidates
     assert best.places == (3, 9)
     assert best.evidence > 0.9 * some.evidence
 
@@ -188,7 +187,8 @@ def test_a_cause_is_weighed_against_the_best_floor_without_one() -> None:
     kinds = kinds_for(record)
     space = Workspace.of(record, kinds)
     found = candidates_of(space, kinds)
-    (best, *_), bare, _ = refitted(found, space)
+    weighing = refitted(found, space)
+    best, bare = weighing.candidates[0], weighing.bare
     assert best.kind.id == "loop-delay"
     assert best.evidence < 0.1 * found[0].evidence
     for one in found[:8]:
@@ -219,9 +219,9 @@ def test_an_odd_noise_is_told_beside_a_louder_ground_but_not_beside_a_law() -> N
     ground = Candidate(effect("ground-motion-level"), (), (), {"factor": 2.0}, 159.0, noisy=True)
     law = Candidate(effect("bpm-gain"), (3,), ("B3 (x)",), {"gain": 0.1}, 100.0)
     common = Candidate(effect("noise-correlated"), (0,), ("C0 (x)",), {}, 100.0, noisy=True)
-    assert rounds._last_resort([odd, ground], before=None, drawn=False) == [odd, ground]
+    assert last_resort([odd, ground], before=None, drawn=False) == [odd, ground]
     for one in (law, common):
-        assert rounds._last_resort([odd, one], before=None, drawn=False) == [one]
+        assert last_resort([odd, one], before=None, drawn=False) == [one]
 
 
 @pytest.mark.parametrize(
@@ -240,15 +240,15 @@ def test_an_odd_noise_is_told_beside_a_weak_law(kind: str, drawn: bool, least: f
         odd = replace(odd, kind=effect("noise-tails"), courseless=False)
     weak = Candidate(effect(kind), (), (), {}, 0.8 * least * 2000.0)
     strong = replace(weak, evidence=1.2 * least * 2000.0)
-    assert rounds._last_resort([odd, weak], before=None, drawn=drawn) == [odd, weak]
-    assert rounds._last_resort([odd, strong], before=None, drawn=drawn) == [strong]
+    assert last_resort([odd, weak], before=None, drawn=drawn) == [odd, weak]
+    assert last_resort([odd, strong], before=None, drawn=drawn) == [strong]
 
 
 def test_beside_a_law_a_bpm_is_odd_that_was_as_odd_before() -> None:
     """What a law that is a little wrong leaves is a share of what was odd without it."""
     odd = odd_noise(212.0)
     for before, told in ((220.0, [odd]), (2000.0, []), (0.0, [])):
-        assert rounds._last_resort([odd], before=before, drawn=False) == told
+        assert last_resort([odd], before=before, drawn=False) == told
 
 
 def test_of_candidates_with_like_evidence_the_weighed_one_leads() -> None:
