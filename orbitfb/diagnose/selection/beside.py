@@ -71,8 +71,13 @@ def _elsewhere(one: Candidate, accepted: Sequence[Candidate], space: Workspace) 
 
 
 def _few(one: Candidate, space: Workspace) -> bool:
-    """Whether it is of some devices, at most half as many as there are BPMs."""
-    return 0 < 2 * len(one.places) <= len(space.signals.record.layout.bpms)
+    """Whether it is of at most half of the devices that it may strike, or places.
+
+    Of those that it has none are left where there is but one: an energy is of the ring.
+    """
+    most = len(space.signals.record.layout.bpms)
+    strikes = min((source.law.patterns[0].shape[1] for source in one.sources), default=most)
+    return 0 < 2 * len(one.places) <= min(strikes, most)
 
 
 def _misfit(space: Workspace) -> float:

@@ -1,15 +1,20 @@
 """Errors of all devices beside a few that are far more at fault."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from benchmarks.small_ring import small_ring
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.selection.beside import enough_beside
+from orbitfb.diagnose.selection.beside import enough_beside, is_another
 from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.build import layout_of
+from orbitfb.effects.registry import effect
 from orbitfb.physics.response import response
-from tests.unit.hypotheses.small_records import NOISE, kinds_for, recorded
+from tests.unit.hypotheses.small_records import NOISE, kinds_for, make_record, recorded
 
 
 @pytest.mark.parametrize(("scatter", "second"), [(1e-3, True), (1e-4, False)])
@@ -34,3 +39,19 @@ def test_gradients_of_all_are_told_beside_correctors_that_act_late(
     assert [(one.kind.id, tuple(sorted(one.places))) for one in found] == wanted
     if second:
         assert found[1].evidence < enough_beside(found[0].evidence, rounds[1].space)
+
+
+@pytest.mark.parametrize(("devices", "another"), [(12, True), (1, False)])
+def test_what_strikes_the_one_place_that_it_may_strike_leaves_no_others(
+    devices: int, another: bool
+) -> None:
+    """An energy is of the ring: that it leaves nothing to others says nothing of it."""
+    kind = effect("corrector-deadband")
+    space = Workspace.of(make_record(41), [effect("bpm-gain")])
+    law = kind.laws(space.signals)[0]
+    law = replace(law, patterns=tuple(np.asarray(one[:, :devices]) for one in law.patterns))
+    source = Course(law, (0,), {"width": 1e-9}, np.ones(1))
+    told = Candidate(kind, (0,), ("C0 (x)",), {"width": 1e-9}, 117.0, sources=(source,))
+    large = Candidate(effect("energy-drift"), (), (), {"step": 1e-6}, 1e6)
+    assert told.evidence < enough_beside(large.evidence, space)
+    assert is_another(told, [large], space) is another
