@@ -8,7 +8,7 @@ are told exactly.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -83,12 +83,14 @@ class _Courses:
         spectrum: Transformed steps of the currents, shape (T, m).
         grams: Products of the currents by band, shape (B, m, m).
         transform: Of the record.
+        beside: What the healthy errors have to do with all devices, once it was asked for.
     """
 
     law: ElementsLaw
     spectrum: Single
     grams: Matrix
     transform: StepTransform
+    beside: list[Matrix | Single] = field(default_factory=list, init=False)
 
     @classmethod
     def of(cls, law: ElementsLaw, signals: Signals, transform: StepTransform) -> "_Courses":
@@ -100,19 +102,30 @@ class _Courses:
     def cross(self, space: Workspace, place: int) -> Matrix:
         """Information between the healthy errors and the elements of one device, shape (k, E)."""
         terms, modes = space.terms, space.noise.modes
-        seen = terms.patterns.T @ modes
+        seen, inverse = terms.patterns.T @ modes, space.noise.inverse_variance(self.transform)
         total = np.zeros((len(terms), len(self.law.others)))
-        for band, weight in enumerate(space.noise.inverse_variance(self.transform)):
-            rows = self.transform.members(band)
+        for number, (weight, part) in enumerate(zip(inverse, self._beside(space), strict=True)):
             if self.law.rows:
                 along = (seen * weight) @ modes[place]
-                total += along[terms.pattern][:, None] * (
-                    terms.spectrum[rows].T @ self.spectrum[rows]
-                )
+                total += along[terms.pattern][:, None] * part
             else:
+                rows = self.transform.members(number)
                 own = terms.spectrum[rows].T @ self.spectrum[rows, place]
-                total += ((seen * weight) @ modes.T)[terms.pattern] * own[:, None]
+                total += part[terms.pattern] * own[:, None]
         return total
+
+    def _beside(self, space: Workspace) -> Sequence[Matrix | Single]:
+        """What of it is of all devices, by band: of the courses, (k, m), or patterns, (P, n)."""
+        if not self.beside:
+            terms, modes = space.terms, space.noise.modes
+            seen = terms.patterns.T @ modes
+            for number, weight in enumerate(space.noise.inverse_variance(self.transform)):
+                rows = self.transform.members(number)
+                if self.law.rows:
+                    self.beside.append(terms.spectrum[rows].T @ self.spectrum[rows])
+                else:
+                    self.beside.append((seen * weight) @ modes.T)
+        return self.beside
 
 
 @dataclass(frozen=True, slots=True, eq=False)
