@@ -49,12 +49,12 @@ class Ranked:
             return self.grid[number]
         return of_device(self.own[number - len(self.grid)], device)
 
-    def around(self, values: Values, device: int) -> tuple[str, float, float] | None:
+    def around(self, values: Values, places: Sequence[int]) -> tuple[str, float, float] | None:
         """The value that runs over the grid, and the ends between which to search it.
 
         Args:
             values: At which the search begins.
-            device: Whose own values count, too.
+            places: Devices that have it; of a single one its own values count, too.
 
         Returns:
             Its name and the ends; None: the grid has one value.
@@ -62,7 +62,7 @@ class Ranked:
         name = running(self.grid)
         if name is None:
             return None
-        own = (of_device(one, device) for one in self.own)
+        own = [of_device(one, places[0]) for one in self.own] if len(places) == 1 else []
         line = np.unique([values[name], *(one[name] for one in (*self.grid, *own))])
         place, last = int(np.searchsorted(line, values[name])), len(line) - 1
         ends = max(place - GRID_REACH, 0), min(place + GRID_REACH, last)

@@ -35,12 +35,17 @@ def unknown_laws(
     hidden = SWALLOWED**2  # half may be in the errors, and half in the floor
     near = [one for one in found if one.places and one.evidence > max(rival, 0.0) / hidden]
     several = [*near[:LEADING], *(one for one in near[LEADING:] if set(one.names) == names)]
-    for one in several:
-        told = exactly(one, scorer)[0]
-        if base is not None and told.evidence > rival / SWALLOWED:
-            told = _over_own_floor(told, space, base)
-        found[found.index(one)] = told
-    return sorted(found, key=lambda one: -one.evidence)[:FINALISTS]
+    told = [exactly(one, scorer)[0] for one in several]
+    for of_all in (False, True):
+        best = max((one for one in told if one.of_all is of_all), key=_telling, default=None)
+        if best is not None and base is not None and best.evidence > rival / SWALLOWED:
+            told[told.index(best)] = _over_own_floor(best, space, base)
+    rest = [one for one in found if one not in several]
+    return sorted([*told, *rest], key=_telling, reverse=True)[:FINALISTS]
+
+
+def _telling(one: FreeCourse) -> float:
+    return one.evidence
 
 
 def _over_own_floor(one: FreeCourse, space: Workspace, base: float) -> FreeCourse:

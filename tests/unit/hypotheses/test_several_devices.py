@@ -66,6 +66,25 @@ def test_bpms_of_a_cell_whose_gain_changes_late_are_found_with_their_onset() -> 
     assert found.values["gain"] == pytest.approx(0.04, abs=0.01)
 
 
+@pytest.mark.parametrize("seed", [32, 33])
+def test_the_value_of_a_cell_that_begins_late_is_sought_with_its_onset(seed: int) -> None:
+    """The next values of the grid, 0.035 s and 0.06 s, leave two fifths of the evidence."""
+    kept, before = np.exp(-0.1 / 0.045), []
+
+    def averaged(orbit: Matrix) -> Matrix:
+        before.append(orbit[0].copy())
+        if len(before) > 400:
+            orbit[0, 4:8] += kept * (before[-2] - before[-1])[4:8]
+        return orbit
+
+    record = make_record(seed, sensed=averaged)
+    layout = replace(record.layout, bpms=in_cells(record.layout.bpms))
+    found = best_of(replace(record, layout=layout), "bpm-lowpass")
+    assert found.places == (4, 5, 6, 7)
+    assert found.onset == pytest.approx(400, abs=10)
+    assert found.values["tau"] == pytest.approx(0.045, rel=0.15)
+
+
 def test_a_cell_is_looked_at_though_none_of_its_devices_shows_much() -> None:
     record = make_record(9)
     layout = replace(record.layout, bpms=in_cells(record.layout.bpms))

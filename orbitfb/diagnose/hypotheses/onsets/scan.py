@@ -79,8 +79,7 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
             found.append(replace(whole, finer=partial(every, *its)))
         if begin.evidence <= 0.0:
             continue
-        if len(begin.places) == 1:
-            begin = replace(begin, around=rank.around(begin.values, begin.places[0]))
+        begin = replace(begin, around=rank.around(begin.values, begin.places))
         if law.standing:
             found.append(kicking(kind, law, scorer, begin, cost))
         else:
