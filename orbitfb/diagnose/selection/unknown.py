@@ -37,9 +37,9 @@ def unknown_laws(
     several = [*near[:LEADING], *(one for one in near[LEADING:] if set(one.names) == names)]
     told = [exactly(one, scorer)[0] for one in several]
     for of_all in (False, True):
-        best = max((one for one in told if one.of_all is of_all), key=_telling, default=None)
-        if best is not None and base is not None and best.evidence > rival / SWALLOWED:
-            told[told.index(best)] = _over_own_floor(best, space, base)
+        leads = max((one for one in told if one.of_all is of_all), key=_telling, default=None)
+        if leads is not None and base is not None and leads.evidence > rival / SWALLOWED:
+            told[told.index(leads)] = _over_own_floor(leads, space, base)
     rest = [one for one in found if one not in several]
     return sorted([*told, *rest], key=_telling, reverse=True)[:FINALISTS]
 
