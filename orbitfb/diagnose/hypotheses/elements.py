@@ -22,13 +22,13 @@ from orbitfb.effects.kinds import HEALTHY_CHANGE, EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, ElementsLaw, Signals
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.priors import FINALISTS, FREE_WIDTHS, MORE, VALUE_COST
-from orbitfb.estimation.transform import Indices, Matrix, StepTransform
+from orbitfb.estimation.transform import Indices, Matrix
 
 
 def scan_elements(kind: EffectKind, law: ElementsLaw, scorer: Scorer) -> list[Candidate]:
     """Find the device whose elements are furthest off, and all that are."""
     space = scorer.space
-    courses = _Courses.of(law, space.signals, space.transform)
+    courses = _Courses.of(law, space)
     free = _Free.of(courses, space.noise, scorer.pulled)
     ranked = free.ranked()
     first = [place for place in np.argsort(-ranked)[:FINALISTS] if ranked[place] > 0.0]
@@ -39,9 +39,9 @@ def scan_elements(kind: EffectKind, law: ElementsLaw, scorer: Scorer) -> list[Ca
     model = response if law.rows else response.T
     choice = float(np.log(len(law.names))) + VALUE_COST
     found = []
-    for one in (free.told(int(place), space) for place in first):
+    for one in (free.told(int(place), beside=True) for place in first):
         # Beside a factor of all, which is a gain, and more than those of a healthy ring are.
-        odd = free.told(one.place, space, model[one.place])
+        odd = free.told(one.place, beside=True, but=model[one.place])
         if odd.evidence > choice and odd.share(law) > HEALTHY_CHANGE:
             found.append(replace(apart.told(one.place), evidence=one.evidence))
     found.sort(key=lambda one: -one.evidence)
@@ -82,45 +82,47 @@ class _Courses:
         law: Of the devices.
         spectrum: Transformed steps of the currents, shape (T, m).
         grams: Products of the currents by band, shape (B, m, m).
-        transform: Of the record.
-        beside: What the healthy errors have to do with all devices, once it was asked for.
+        space: Of the record, with the healthy errors.
+        beside: What these have to do with all devices, once it was asked for.
     """
 
     law: ElementsLaw
     spectrum: Single
     grams: Matrix
-    transform: StepTransform
+    space: Workspace
     beside: list[Matrix | Single] = field(default_factory=list, init=False)
 
     @classmethod
-    def of(cls, law: ElementsLaw, signals: Signals, transform: StepTransform) -> "_Courses":
-        spectrum = transform.quick_spectrum(signals.currents)
+    def of(cls, law: ElementsLaw, space: Workspace) -> "_Courses":
+        transform = space.transform
+        spectrum = transform.quick_spectrum(space.signals.currents)
         bands = [transform.members(band) for band in range(len(transform.count))]
         parts = [spectrum[rows].astype(np.float64) for rows in bands]
-        return cls(law, spectrum, np.stack([part.T @ part for part in parts]), transform)
+        return cls(law, spectrum, np.stack([part.T @ part for part in parts]), space)
 
-    def cross(self, space: Workspace, place: int) -> Matrix:
+    def cross(self, place: int) -> Matrix:
         """Information between the healthy errors and the elements of one device, shape (k, E)."""
-        terms, modes = space.terms, space.noise.modes
-        seen, inverse = terms.patterns.T @ modes, space.noise.inverse_variance(self.transform)
+        terms, modes = self.space.terms, self.space.noise.modes
+        transform = self.space.transform
+        seen, inverse = terms.patterns.T @ modes, self.space.noise.inverse_variance(transform)
         total = np.zeros((len(terms), len(self.law.others)))
-        for number, (weight, part) in enumerate(zip(inverse, self._beside(space), strict=True)):
+        for number, (weight, part) in enumerate(zip(inverse, self._of_all(), strict=True)):
             if self.law.rows:
                 along = (seen * weight) @ modes[place]
                 total += along[terms.pattern][:, None] * part
             else:
-                rows = self.transform.members(number)
+                rows = transform.members(number)
                 own = terms.spectrum[rows].T @ self.spectrum[rows, place]
                 total += part[terms.pattern] * own[:, None]
         return total
 
-    def _beside(self, space: Workspace) -> Sequence[Matrix | Single]:
+    def _of_all(self) -> Sequence[Matrix | Single]:
         """What of it is of all devices, by band: of the courses, (k, m), or patterns, (P, n)."""
         if not self.beside:
-            terms, modes = space.terms, space.noise.modes
+            terms, modes, transform = self.space.terms, self.space.noise.modes, self.space.transform
             seen = terms.patterns.T @ modes
-            for number, weight in enumerate(space.noise.inverse_variance(self.transform)):
-                rows = self.transform.members(number)
+            for number, weight in enumerate(self.space.noise.inverse_variance(transform)):
+                rows = transform.members(number)
                 if self.law.rows:
                     self.beside.append(terms.spectrum[rows].T @ self.spectrum[rows])
                 else:
@@ -154,7 +156,7 @@ class _Free:
             pulled: Ω z, healthy errors marginalised, shape (T, n) [1/m].
         """
         pulls = (pulled.astype(np.float32).T @ courses.spectrum).astype(np.float64)
-        inverse = noise.inverse_variance(courses.transform)
+        inverse = noise.inverse_variance(courses.space.transform)
         return cls(courses, noise.modes, inverse, pulls if courses.law.rows else pulls.T)
 
     def information(self, weights: Vector) -> Matrix:
@@ -188,27 +190,25 @@ class _Free:
             gain[devices] = _evidence((own @ axes) ** 2, levels, law.scale[devices])[0]
         return gain
 
-    def told(
-        self, place: int, space: Workspace | None = None, beside: Vector | None = None
-    ) -> _Told:
+    def told(self, place: int, *, beside: bool = False, but: Vector | None = None) -> _Told:
         """Tell the elements of one device.
 
         Args:
             place: Its number.
-            space: Whose healthy errors are marginalised; None: there are none.
-            beside: Elements of which any multiple is known to be wrong, shape (E,); None: none.
+            beside: Whether the healthy errors are marginalised.
+            but: Elements of which any multiple is known to be wrong, shape (E,); None: none.
         """
         law = self.courses.law
         there = np.flatnonzero(law.there[place])
         information = self.information(self.weights[place])[np.ix_(there, there)]
-        if space is not None and len(space.priors.used):
-            cross = self.courses.cross(space, place)[:, there]
-            information = space.priors.beyond(information, cross)
+        priors = self.courses.space.priors
+        if beside and len(priors.used):
+            information = priors.beyond(information, self.courses.cross(place)[:, there])
         own = self.pulls[place, there]
-        if beside is not None:
-            along = information @ beside[there]
-            length = max(float(beside[there] @ along), 1e-300)
-            own = own - along * (float(beside[there] @ own) / length)
+        if but is not None:
+            along = information @ but[there]
+            length = max(float(but[there] @ along), 1e-300)
+            own = own - along * (float(but[there] @ own) / length)
             information = information - np.outer(along, along) / length
         level, axes = np.linalg.eigh(information)
         level, pull = np.maximum(level, 0.0), axes.T @ own
@@ -283,12 +283,11 @@ def _candidate(
             field += np.outer(courses.spectrum[:, one.place], one.errors)
 
     def again(after: Workspace) -> Candidate:
-        noise, whole = after.noise, after.residual + field
-        mean = after.priors.mean(after.terms.pull(noise.pull(whole, courses.transform)))
+        noise, whole, its = after.noise, after.residual + field, replace(courses, space=after)
+        mean = after.priors.mean(after.terms.pull(noise.pull(whole, after.transform)))
         left = whole - after.terms.contribution(mean)
-        free = _Free.of(courses, noise, noise.pull(left, courses.transform))
-        more = [free.told(one.place, after) for one in told]
-        return _candidate(kind, courses, more, choice)
+        free = _Free.of(its, noise, noise.pull(left, after.transform))
+        return _candidate(kind, its, [free.told(one.place, beside=True) for one in told], choice)
 
     size = kind.parameters[0].name
     largest = max(sources, key=lambda one: one.values[size])

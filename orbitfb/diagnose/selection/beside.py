@@ -71,9 +71,9 @@ def _elsewhere(one: Candidate, accepted: Sequence[Candidate], space: Workspace) 
 
 
 def _few(one: Candidate, space: Workspace) -> bool:
-    """Whether it is of at most half of the devices that it may strike, or places.
+    """Whether it strikes at most half of the devices or places that it may strike.
 
-    Of those that it has none are left where there is but one: an energy is of the ring.
+    What may strike but one, as an energy, is of the whole ring.
     """
     most = len(space.signals.record.layout.bpms)
     strikes = min((source.law.patterns[0].shape[1] for source in one.sources), default=most)

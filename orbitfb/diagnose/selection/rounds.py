@@ -162,6 +162,7 @@ def tournament(
             continue
         if best is None or causes == ROUNDS or _composed([*accepted, best]):
             return accepted, rounds
+        # No record has more effects at once, so that what they leave is of no library.
         named = sum(one.candidates[0].evidence for one in rounds)
         if causes >= AT_ONCE and rounds[0].nameless(np.inf, named) is not None:
             return accepted, rounds

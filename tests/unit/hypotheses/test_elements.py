@@ -12,7 +12,7 @@ from orbitfb.diagnose.impact.explained import Explained
 from orbitfb.diagnose.impact.named import named
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.rounds import tournament
-from orbitfb.effects.laws import ElementsLaw
+from orbitfb.effects.laws import DeviceLaw, ElementsLaw
 from orbitfb.effects.registry import effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.records.record import Record
@@ -85,6 +85,32 @@ def test_the_evidence_is_that_of_free_elements_written_out() -> None:
         square = variance * pull @ np.linalg.solve(inner, pull)
         evidence.append(0.5 * square - 0.5 * np.linalg.slogdet(inner)[1])
     assert found.evidence == pytest.approx(max(evidence) - np.log(16) - 3.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(("row", "column"), [(5, None), (None, 7)])
+def test_over_another_floor_they_are_told_beside_its_own_errors(
+    row: int | None, column: int | None
+) -> None:
+    """As where they were found over that floor, whatever they were found over."""
+    record = make_record(31, dither=0.1)
+    told = wrong(record, changed(record, 1, row, column))
+    kind, kinds = effect("bpm-row" if column is None else "corrector-column"), kinds_for(told)
+    space = Workspace.of(told, kinds)
+    (gains,) = effect("bpm-gain").laws(space.signals)
+    assert isinstance(gains, DeviceLaw)
+    one = gains.patterns[0][:, :1], np.zeros(1, dtype=np.intp), space.signals.orbit[:, :1]
+    more = space.beside(effect("bpm-gain"), gains, *one, ((0, "gain"),), 0.1)
+    more = more.with_noise(replace(more.noise, white=2.0 * more.noise.white))
+    (law,) = kind.laws(space.signals)
+    assert isinstance(law, ElementsLaw)
+    again = []
+    for begin in (space, more):
+        found = scan_elements(kind, law, Scorer.of(begin))[0]
+        assert found.again is not None
+        assert found.field is not None
+        again.append(found.again(more.explaining(found.field)))
+    assert again[0].names == again[1].names
+    assert again[0].evidence == pytest.approx(again[1].evidence, rel=1e-4)
 
 
 def test_a_healthy_response_has_no_such_device() -> None:
