@@ -87,6 +87,11 @@ class Candidate:
         more = self.walk is not None or self.white is not None or self.raised or self.columns
         return self.field is not None and self.undone is None and not more
 
+    @property
+    def takes_noise(self) -> bool:
+        """Whether it is undone in the readings, noise included."""
+        return self.undone is not None or self._undo() is not None
+
     def accepted(self, space: Workspace, spread: bool = True) -> Workspace:
         """Add it to what a workspace explains, and estimate the floor anew.
 
