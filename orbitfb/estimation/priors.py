@@ -144,8 +144,8 @@ scan leaves out what healthy errors of other devices hide, up to half of a large
 of a grid that are 1.5 apart lose a tenth."""
 
 LEADING = 4
-"""Effects of a round that are weighed under floors of their own at most: each costs a second. By
-hand."""
+"""Effects of a round that are weighed under floors of their own at most, and unknown laws that are
+weighed beside all errors: each costs a second. By hand."""
 
 CLOSE = 0.1
 """Share of the best evidence from which candidates are weighed under floors of their own [1]: under
@@ -196,7 +196,7 @@ STROKES = 0.05
 
 HEARD = 3
 """Times that the orbit is told anew from what BPMs make of it: a cubic error of a tenth is then
-right to a thousandth."""
+right to a thousandth. As often a law is told again over the floor that it leaves."""
 
 SETTLED = 0.05
 """Share of what a cause does, weighed by the floor, by which it may still move when its sizes are

@@ -14,7 +14,24 @@ from orbitfb.diagnose.selection.settled import settled
 from orbitfb.estimation.priors import CLOSE, HEARD, LEADING, MISFIT, SURE, SWALLOWED
 
 
-def refitted(candidates: Sequence[Candidate], space: Workspace, enough: float = SURE) -> "Weighing":
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighing:
+    """What leads, weighed.
+
+    Args:
+        candidates: The best first.
+        bare: The workspace over the best floor without any of them.
+        base: Log posterior over that; None: none of them had a floor of its own.
+        lost: By how much it is likelier than the floor of the saturated model's rest [nats].
+    """
+
+    candidates: list[Candidate]
+    bare: Workspace
+    base: float | None = None
+    lost: float = 0.0
+
+
+def refitted(candidates: Sequence[Candidate], space: Workspace, enough: float = SURE) -> Weighing:
     """Compare those that lead under floors that are estimated with each of them.
 
     A floor that was estimated without a cause stands in for what the cause does as far as it can,
@@ -33,7 +50,6 @@ def refitted(candidates: Sequence[Candidate], space: Workspace, enough: float = 
         candidates: The best first.
         space: That they were tried on.
         enough: Evidence from which one is accepted [nats]; half of it may be in the floor.
-
     """
     # Noise has no floor of its own. Where it leads, a law whose course is told may be what is odd
     # in it; a random course would be as odd as the noise.
@@ -70,23 +86,6 @@ def refitted(candidates: Sequence[Candidate], space: Workspace, enough: float = 
                 base, bare, lost = base + more, lower, lost + more
                 rivals.lose(more)
     return Weighing(rivals.ranked(), bare, base, lost)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Weighing:
-    """What leads, weighed.
-
-    Args:
-        candidates: The best first.
-        bare: The workspace over the best floor without any of them.
-        base: Log posterior over that; None: none of them had a floor of its own.
-        lost: By how much it is likelier than the floor of the saturated model's rest [nats].
-    """
-
-    candidates: list[Candidate]
-    bare: Workspace
-    base: float | None = None
-    lost: float = 0.0
 
 
 @dataclass(slots=True)

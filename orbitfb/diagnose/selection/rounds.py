@@ -60,7 +60,8 @@ class Round:
         """An unknown law that is surely likelier than what is named; None: there is none.
 
         What all devices do alike may be several causes of the library, a device or cell does one.
-        A law that knows no form takes what every law of the library leaves that is a little wrong.
+        Laws of the library are a little wrong, and an unknown law has what they leave, too: it
+        needs more than that.
 
         Args:
             first: Evidence of the first cause [nats].
@@ -149,10 +150,9 @@ def tournament(
         unnamed = max((one.evidence for one in free if not one.of_all), default=0.0)
         if best is None and unnamed <= SURE:
             return accepted, rounds
-        # What all do alike beside causes is a share of them.
-        of_all = 0.0 if accepted else max((one.evidence for one in free), default=0.0)
-        telling = max(0.0 if best is None else best.evidence, unnamed, of_all)
-        moving = with_motion(space, telling)
+        # Beside causes, what all do alike may be a share of them: it is no rival of the motion.
+        rivals = [one.evidence for one in free if not (accepted and one.of_all)]
+        moving = with_motion(space, max([0.0 if best is None else best.evidence, *rivals]))
         if moving is not None:
             tell("top healthy motion")
             space = moving
@@ -162,16 +162,16 @@ def tournament(
             continue
         if best is None or causes == ROUNDS or _composed([*accepted, best]):
             return accepted, rounds
-        # No record has more effects at once, so that what they leave is of no library.
+        # More effects than these are not at work at once: it need not be sought what they leave.
         named = sum(one.candidates[0].evidence for one in rounds)
         if causes >= AT_ONCE and rounds[0].nameless(np.inf, named) is not None:
             return accepted, rounds
         if not accepted and rounds[-1].nameless(best.evidence, np.inf) is not None:
             return accepted, rounds  # nothing of the library is as good
-        rivals = undecided(leaders(candidates), space) if waits else []
-        if rivals:
-            best, space = drawn_with(rivals, space)
-        if len(rivals) > 1:
+        unsure = undecided(leaders(candidates), space) if waits else []
+        if unsure:
+            best, space = drawn_with(unsure, space)
+        if len(unsure) > 1:
             led = best
             rounds.pop()
             continue

@@ -36,7 +36,8 @@ def unknown_laws(
     hidden = SWALLOWED**2  # half may be in the errors, and half in the floor
     near = [one for one in found if one.places and one.evidence > max(rival, 0.0) / hidden]
     several = [*near[:LEADING], *(one for one in near[LEADING:] if set(one.names) == names)]
-    told = [exactly(one, scorer)[0] for one in several]
+    # What all do alike was weighed so when it was scanned.
+    told = [one if one.of_all else exactly(one, scorer)[0] for one in several]
     noise = any(one.takes_noise for one in best)
     for of_all in (False, True):
         its = [one for one in told if one.of_all is of_all and not (noise and one.target == "bpm")]

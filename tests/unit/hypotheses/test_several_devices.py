@@ -68,7 +68,7 @@ def test_bpms_of_a_cell_whose_gain_changes_late_are_found_with_their_onset() -> 
 
 @pytest.mark.parametrize("seed", [32, 33])
 def test_the_value_of_a_cell_that_begins_late_is_sought_with_its_onset(seed: int) -> None:
-    """The next values of the grid, 0.035 s and 0.06 s, leave two fifths of the evidence."""
+    """With values of the grid alone it would not be told from one that was always there."""
     kept, before = np.exp(-0.1 / 0.045), []
 
     def averaged(orbit: Matrix) -> Matrix:

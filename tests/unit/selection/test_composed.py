@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.free_course import FreeCourse
 from orbitfb.diagnose.impact.named import named
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection import rounds
@@ -20,12 +21,21 @@ def causes(*told: tuple[str, float]) -> list[Candidate]:
     return [Candidate(effect(name), (), (), {}, nats, noisy=True) for name, nats in told]
 
 
-def found(monkeypatch: pytest.MonkeyPatch, *told: Candidate) -> tuple[list[Candidate], list]:
-    """A tournament in which each of them leads a round, and then none."""
+def found(
+    monkeypatch: pytest.MonkeyPatch, *told: Candidate, asked: list[float] | None = None
+) -> tuple[list[Candidate], list]:
+    """A tournament in which each of them leads a round, and then none.
+
+    Args:
+        monkeypatch: Takes the place of what is searched.
+        told: They.
+        asked: Gets what healthy motion would have to beat [nats].
+    """
+    enough = [] if asked is None else asked
     ahead = iter([one] for one in told)
     monkeypatch.setattr(rounds, "candidates_of", lambda *given: next(ahead, []))
     monkeypatch.setattr(rounds, "refitted", lambda found, space, *given: Weighing(found, space))
-    monkeypatch.setattr(rounds, "with_motion", lambda *given: None)
+    monkeypatch.setattr(rounds, "with_motion", lambda space, nats: enough.append(nats))
     monkeypatch.setattr(Candidate, "accepted", lambda one, space, spread=True: space)
     return rounds.tournament(Workspace.of(make_record(41), [effect("bpm-gain")]), [])
 
@@ -63,6 +73,31 @@ def test_what_is_one_or_hardly_counts_is_accepted(
     accepted, its = found(monkeypatch, *told)
     assert accepted == told
     assert judged(named(accepted, its), its).state == "named"
+
+
+@pytest.mark.parametrize(("nats", "ends"), [(950.0, True), (900.0, False)])
+def test_after_two_causes_an_unknown_law_of_all_that_is_likelier_ends_it(
+    nats: float, ends: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All three have 900 nats, and it has to be surely likelier."""
+    names = ("corrector-slew", 400.0), ("corrector-lag", 300.0), ("corrector-slew", 200.0)
+    free = FreeCourse("corrector", (), nats)
+    monkeypatch.setattr(rounds, "unknown_laws", lambda *given: [free])
+    accepted, its = found(monkeypatch, *causes(*names))
+    assert len(accepted) == (2 if ends else 3)
+    assert (judged(named(accepted, its), its).state == "unknown") is ends
+
+
+def test_an_unknown_law_of_all_is_a_rival_of_healthy_motion_until_a_cause_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Beside a cause it may be a share of that."""
+    asked: list[float] = []
+    free = FreeCourse("corrector", (), 350.0)
+    monkeypatch.setattr(rounds, "unknown_laws", lambda *given: [free])
+    told = causes(("corrector-slew", 340.0), ("corrector-slew", 200.0))
+    found(monkeypatch, *told, asked=asked)
+    assert asked == [350.0, 200.0]
 
 
 def test_errors_of_all_devices_are_one_effect(monkeypatch: pytest.MonkeyPatch) -> None:
