@@ -37,6 +37,8 @@ class Candidate:
         courseless: Whether its course is whatever the record shows at its place.
         cycles: Of a wave, from row to row [1]; None: it is none.
         sources: Courses of its devices, if any: their values stay free when it is accepted.
+        drives: Tells what it adds to the currents of the correctors, shape (N, m) [A], where that
+            is not in the sources; None: nothing.
         deviations: Relative standard deviations of its values, where the scan tells them; of others
             the evidence does once all causes are known.
         cost: What its log likelihood, with the best size, is more than its evidence [nats]; None:
@@ -68,6 +70,7 @@ class Candidate:
     courseless: bool = False
     cycles: float | None = None
     sources: tuple[Course, ...] = ()
+    drives: "Callable[[], Matrix] | None" = None
     deviations: Mapping[str, float] = dataclasses.field(default_factory=dict)
     cost: float | None = None
     undone: "Callable[[Workspace], tuple[Matrix, float]] | None" = None
@@ -148,6 +151,8 @@ class Candidate:
         signals = space.signals
         response = signals.record.layout.response
         currents, kept = signals.currents.copy(), np.zeros(len(space.terms), dtype=bool)
+        if self.drives is not None:
+            currents += self.drives()
         for one in self.sources:
             if one.law.patterns[0] is response:
                 chosen = list(one.places) if one.places else slice(None)

@@ -71,9 +71,14 @@ class _Mixed:
             change = its.transform.spectrum(law.courses[:, pair] @ back.T)
             return change @ law.patterns[:, pair].T, wider * len(its.transform)
 
+        def drives() -> Matrix:
+            change = np.zeros_like(law.courses)
+            change[:, pair] = size * law.courses[:, pair] @ self.mixing[number].T
+            return change
+
         return Candidate(
             self.kind, struck, names, scaled, 0.0, field=size * field @ law.patterns[:, pair].T,
-            undone=undo if law.readings else None,
+            drives=None if law.readings else drives, undone=undo if law.readings else None,
         )  # fmt: skip
 
     def several(
@@ -93,6 +98,9 @@ class _Mixed:
             undone = [one.undone(its) for one in parts if one.undone is not None]
             return np.sum([field for field, _ in undone], axis=0), sum(wider for _, wider in undone)
 
+        def drives() -> Matrix:
+            return np.sum([one.drives() for one in parts if one.drives is not None], axis=0)
+
         def again(its: Workspace) -> Candidate:
             pull, information = self.told(Scorer.of(its), numbers)
             more = NormalTerms(pull, information, np.full(len(numbers), SIZE_WIDTH**2)).mean()
@@ -106,6 +114,7 @@ class _Mixed:
             {**self.values, **rms} if whole else parts[0].values,
             evidence,
             field=np.sum([np.asarray(one.field) for one in parts], axis=0),
+            drives=None if readings else drives,
             undone=undo if readings else None,
             parts=tuple(parts) if len(parts) > 1 else (),
             again=again if readings and self.kind.sizes else None,

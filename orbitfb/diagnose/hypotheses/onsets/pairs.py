@@ -86,6 +86,11 @@ class LatePair:
         evidence = gain - chosen - VALUE_COST * len(kind.parameters)
         struck = law.struck[self.number]
 
+        def drives() -> Matrix:
+            change = np.zeros_like(law.courses)
+            change[:, pair] = size * course
+            return change
+
         def again(after: Workspace) -> Candidate:
             last = space.transform.rows - ONSET_MARGIN
             near = range(max(row - ONSETS_EVERY, 1), min(row + ONSETS_EVERY + 1, last))
@@ -94,7 +99,8 @@ class LatePair:
         return Candidate(
             kind, struck, tuple(law.names[place] for place in struck),
             {**self.values, **{one.name: size * self.values[one.name] for one in kind.sizes}},
-            evidence, onset=row, field=size * field, cost=worth - evidence, again=again,
+            evidence, onset=row, field=size * field, drives=drives, cost=worth - evidence,
+            again=again,
         )  # fmt: skip
 
 
