@@ -215,6 +215,13 @@ class EffectKind(ABC):
             if not one.optional or values.get(one.name, one.nominal) != one.nominal
         )
 
+    def told_apart(self, values: Values, record: Record) -> float:
+        """How many values like these a record tells apart, beyond those of a smooth law; one.
+
+        Where the likelihood of a value is a comb, the highest of its needles is found by chance.
+        """
+        return 1.0
+
     def meaning(self, parameter: Parameter, value: float, record: Record) -> str:
         """Say in words what the value of a choice stands for; empty where it is none, or usual."""
         usual = not parameter.meanings or value == parameter.nominal

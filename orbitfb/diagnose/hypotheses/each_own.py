@@ -141,13 +141,17 @@ def _grown(
             total[:, mine] = part if part.shape[1] == 1 else part[:, mine]
     pull, information = scorer.score(law.patterns, spectra)
     information = scorer.marginal(kind, law.patterns, spectra, information)
-    cost = _cost(len(number), len(rank.alone))
-    return grown_apart(pull, information, cost, free)
+    return grown_apart(pull, information, _costs(kind, scorer, rank, number), free)
 
 
-def _cost(devices: int, values: int) -> float:
-    """What choosing a device and its value costs [nats]."""
-    return float(np.log(devices)) + (VALUE_COST if values > 1 else 0.0)
+def _costs(kind: EffectKind, scorer: Scorer, rank: Ranked, number: np.ndarray) -> Vector:
+    """What choosing each device and its value costs, shape (D,) [nats]."""
+    costs = np.full(len(number), np.log(len(number)))
+    if len(rank.alone) > 1:
+        record = scorer.space.signals.record
+        told = [kind.told_apart(rank.values(int(one), at), record) for at, one in enumerate(number)]
+        costs += VALUE_COST + np.log(told)
+    return costs
 
 
 def _candidate(
@@ -166,7 +170,7 @@ def _candidate(
     ]
     value = next((p.name for p in kind.parameters if p.log), None)
     its = _Set(
-        kind, free, _cost(len(number), len(rank.alone)) * len(chosen),
+        kind, free, float(_costs(kind, scorer, rank, number)[chosen].sum()),
         value if len(rank.alone) > 1 else None,
         tuple(own[value] for own in rank.own if value in own),
     )  # fmt: skip

@@ -184,7 +184,9 @@ def worths_of(kind: EffectKind) -> list[tuple[Worth, bool]]:
 
 def cost_of(kind: EffectKind, values: Values, scorer: Scorer) -> float:
     """What choosing the values of an effect costs [nats]."""
-    return VALUE_COST * len(kind.set_by(values, scorer.space.signals.record))
+    record = scorer.space.signals.record
+    told_apart = float(np.log(kind.told_apart(values, record)))
+    return VALUE_COST * len(kind.set_by(values, record)) + told_apart
 
 
 def scales(kind: EffectKind) -> bool:

@@ -121,14 +121,14 @@ def _kept(pull: Vector, information: Matrix, worth: Worth) -> tuple[float, tuple
 
 
 def grown_apart(
-    pull: Vector, information: Matrix, cost: float, free: bool
+    pull: Vector, information: Matrix, costs: Vector | float, free: bool
 ) -> tuple[list[int], float]:
     """Find the devices that explain more than they cost, each with a size of its own.
 
     Args:
         pull: Of every device, shape (D,).
         information: Of them, shape (D, D).
-        cost: Of choosing one [nats].
+        costs: Of choosing each, shape (D,) [nats].
         free: Whether each may have any size; otherwise all have the one that is given.
 
     Returns:
@@ -137,13 +137,13 @@ def grown_apart(
     chosen: list[int] = []
     evidence = 0.0
     for _ in range(min(MOST_DEVICES, len(pull))):
-        gain = _beside(pull, information, chosen, free)
+        gain = _beside(pull, information, chosen, free) - costs
         gain[chosen] = -np.inf
         device = int(np.argmax(gain))
-        if gain[device] < cost + MORE:
+        if gain[device] < MORE:
             break
         chosen.append(device)
-        evidence += float(gain[device]) - cost
+        evidence += float(gain[device])
     return chosen, evidence
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.blind.many import write
+from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.ranking import cost_of
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
@@ -33,6 +34,34 @@ def test_an_optional_value_costs_where_it_is_used(
     """A dead-band wider than all motion does what a frozen current does, and must not win."""
     scorer = Scorer.of(Workspace.of(make_record(72), [effect("corrector-gain")]))
     assert cost_of(effect(kind), values, scorer) == count * VALUE_COST
+
+
+def test_a_needle_pays_for_all_that_it_was_found_among() -> None:
+    """A step is told from another where their errors of rounding no longer agree."""
+    record = make_record(72)
+    kind, step = effect("corrector-quantisation"), 1e-3
+    scorer = Scorer.of(Workspace.of(record, [effect("corrector-gain")]))
+    told_apart = kind.told_apart({"step": step}, record)
+    assert cost_of(kind, {"step": step}, scorer) == VALUE_COST + np.log(told_apart)
+
+    def rounding(frequency: float) -> Vector:
+        turns = frequency * record.setpoints
+        return ((np.round(turns) - turns) / frequency).ravel()
+
+    def alike(apart: float) -> float:
+        beside = 1.0 / step * (1.0 + apart / told_apart)
+        return float(np.corrcoef(rounding(1.0 / step), rounding(beside))[0, 1])
+
+    assert alike(0.2) > 0.8 and 0.2 < alike(1.0) < 0.7 and abs(alike(5.0)) < 0.1
+
+
+def test_of_no_gap_no_needle_stands_out(tmp_path: Path) -> None:
+    """A step for each of two correctors had 12 nats here, for which nobody had paid."""
+    name = write("flicker", "healthy", 101, tmp_path / "records")
+    record = load(tmp_path / "records" / f"{name}.npz", planes=None, ring=None).record
+    kind = effect("corrector-quantisation")
+    space = Workspace.of(record, [kind, effect("corrector-gain"), effect("bpm-gain")])
+    assert max((one.evidence for one in candidates_of(space, [kind])), default=0.0) < 5.0
 
 
 def test_no_set_is_worth_more_than_what_it_does_is_likely(tmp_path: Path) -> None:
