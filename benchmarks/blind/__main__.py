@@ -35,7 +35,7 @@ def gather(options: argparse.Namespace) -> list[Case]:
         cases += read_folder(folder, source=f"fodo {seed}", chosen=chosen)
     for seed in options.many or ():
         folder = out / f"many-{seed}"
-        chosen = many.generate(seed, folder, options.first)
+        chosen = many.generate(seed, folder, options.first, options.suite == "healthy")
         cases += read_folder(folder, source=f"many {seed}", chosen=chosen)
     if options.plant is not None:
         try:
@@ -194,7 +194,12 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     make.add_argument(
         "--many", type=int, nargs="*", metavar="SEED", help="small rings of many kinds, by seeds"
     )
-    make.add_argument("--suite", choices=get_args(Suite), default="fast", help="of the own [fast]")
+    make.add_argument(
+        "--suite",
+        choices=get_args(Suite),
+        default="fast",
+        help="of the own; healthy: of --many too, only records without a gap [fast]",
+    )
     make.add_argument("--plant", type=Path, metavar="PATH", help="an external generator: a package")
     make.add_argument("--seed", type=int, default=1, help="of --plant [1]")
     make.add_argument("--first", type=int, metavar="N", help="of every generator, at random [all]")

@@ -69,6 +69,7 @@ def rows(judged: Sequence[Judged]) -> list[dict[str, Any]]:
             "shrink": one.shrink,
             "oracle_shrink": one.truth.shrink,
             "recovered": one.recovered,
+            "best": one.best,
             "seconds": one.seconds,
             "cpu": one.cpu,
             "peak_mb": one.peak_mb,

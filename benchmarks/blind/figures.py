@@ -159,6 +159,9 @@ def figures(judged: Sequence[Judged]) -> list[Figure]:
         rate("shrink ≥ 0.9 told and wrong", (_overtold(one) for one in told), "0"),
         rate("no gap: said so", (one.right for one in kinds["none"]), "≥ 0.95"),
         rate("no gap: a name given", (one.named for one in kinds["none"]), "0"),
+        _worst(
+            "no gap: evidence of the best effect, largest [nats]", (j.best for j in kinds["none"])
+        ),
         rate(
             "in no library: recognised or next of kin",
             (one.right for one in kinds["foreign"]),

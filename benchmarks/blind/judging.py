@@ -76,6 +76,7 @@ class Judged:
         covered: Whether the first comparable parameter lies in its interval; None: not comparable.
         shrink: Told share of the one-step gap that is gone [1].
         recovered: Share of the gain in nats that knowing the truth has on the later record.
+        best: Evidence of the best effect of the tournament, named or not [nats].
         seconds: Wall clock [s].
         cpu: Processor time [s].
         peak_mb: Largest memory of the process so far [MB].
@@ -98,6 +99,7 @@ class Judged:
     covered: bool | None = None
     shrink: float = math.nan
     recovered: float = math.nan
+    best: float = math.nan
     seconds: float = math.nan
     cpu: float = math.nan
     peak_mb: float = math.nan
@@ -174,6 +176,7 @@ def judge(
         covered=covered,
         shrink=number((answer.get("shrink") or {}).get("um")),
         recovered=_recovered(answer.get("shrink") or {}, truth.oracle_nats),
+        best=max((number(row.get("nats")) for row in _rows(answer)), default=math.nan),
         seconds=seconds,
         cpu=cpu,
         peak_mb=peak_mb,
@@ -198,10 +201,13 @@ def _class(cause: Mapping[str, Any]) -> list[str]:
     return [cause["effect"], *(cause.get("alternatives") or ())][:CLASS]
 
 
+def _rows(answer: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    return (answer.get("tournament") or {}).get("rows") or []
+
+
 def _best(answer: Mapping[str, Any]) -> list[str]:
     """Give the best three effects of the tournament."""
-    rows = (answer.get("tournament") or {}).get("rows") or []
-    rows = sorted(rows, key=lambda row: -number(row.get("nats"), -math.inf))
+    rows = sorted(_rows(answer), key=lambda row: -number(row.get("nats"), -math.inf))
     return list(dict.fromkeys(row.get("effect", "") for row in rows))[:CLASS]
 
 
@@ -209,10 +215,10 @@ def _on_right(
     accepted: frozenset[str], causes: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]
 ) -> float:
     """Give the largest probability that is told of a class with a right id; 0: none is."""
-    rows = (answer.get("tournament") or {}).get("rows") or []
     told = [(_class(cause), cause.get("probability")) for cause in causes]
     told += [
-        ([row.get("effect"), *(row.get("members") or ())], row.get("probability")) for row in rows
+        ([row.get("effect"), *(row.get("members") or ())], row.get("probability"))
+        for row in _rows(answer)
     ]
     return max((number(p, 0.0) for ids, p in told if accepted & set(ids[:CLASS])), default=0.0)
 

@@ -110,19 +110,20 @@ HEALTHY: dict[str, Machine] = USUAL | {
 """Machines that are recorded healthy."""
 
 
-def generate(seed: int, out: Path, first: int | None) -> list[str]:
+def generate(seed: int, out: Path, first: int | None, healthy: bool = False) -> list[str]:
     """Write records; the truth goes beside them.
 
     Args:
         seed: Of everything drawn.
         out: Folder for the records.
         first: How many, at random; None: all.
+        healthy: Leave out those with a fault.
 
     Returns:
         Their names.
     """
     wanted = [(name, "healthy") for name in HEALTHY]
-    wanted += [(name, fault) for name in USUAL for fault in FAULTS]
+    wanted += [(name, fault) for name in USUAL for fault in FAULTS if not healthy]
     if first is not None and first < len(wanted):
         order = np.random.default_rng(seed).permutation(len(wanted))[:first]
         wanted = [wanted[place] for place in sorted(order.tolist())]

@@ -9,14 +9,14 @@ from benchmarks.blind.generator.cases import Spec
 from benchmarks.blind.generator.conditions import Dither
 from benchmarks.blind.generator.draft import invented, known
 
-Suite = Literal["quick", "fast", "full"]
+Suite = Literal["quick", "fast", "full", "healthy"]
 DITHERS: tuple[Dither, ...] = ("passive", "white", "shaped")
 
 
 def plan(suite: Suite, seed: int) -> list[Spec]:
     """List the cases of a suite, in a fixed order (they are shuffled when they are written)."""
     rng = np.random.default_rng([seed, 7])
-    makers = {"quick": _quick, "fast": _fast, "full": _full}
+    makers = {"quick": _quick, "fast": _fast, "full": _full, "healthy": _healthy}
     return list(makers[suite](rng))
 
 
@@ -91,6 +91,11 @@ def _full(rng: np.random.Generator) -> Iterator[Spec]:
     yield from _pairs(rng, 100)
     yield from _inside(rng, 60)
     yield from _second(rng, 60)
+
+
+def _healthy(rng: np.random.Generator) -> Iterator[Spec]:
+    """Records without a gap: how much evidence there is where there is nothing."""
+    yield from _no_gap(rng, 40, 1500)
 
 
 def _no_gap(rng: np.random.Generator, count: int, ticks: int | None) -> Iterator[Spec]:
