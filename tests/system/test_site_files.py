@@ -83,6 +83,7 @@ def health(port: str, *options: str) -> tuple[int, str]:
 
 
 def test_health_says_that_it_is_well(service: Service):
+    service.wait_state("OPEN")
     for options, word in (((), "alive: OPEN, last"), (("--ready",), "ready: OPEN, last")):
         code, said = health(port_of(service), *options)
         assert code == 0 and said.startswith(word)

@@ -66,6 +66,11 @@ def test_it_is_alive(answering):
     assert asked == [("::1", 9, "/healthz", 3.0), ("127.0.0.1", 9180, "/readyz", 1.5)]
 
 
+def test_it_is_alive_before_its_first_tick(answering):
+    answering(Reply(200, json.dumps({**GOOD, "state": None, "last_tick_age_s": 0.2}).encode()))
+    assert run("--port", "9") == (0, "alive: no tick yet")
+
+
 def test_the_configuration_says_where(answering, tmp_path: Path):
     asked = answering(Reply(200, json.dumps(GOOD).encode()))
     config = tmp_path / "orbitfb.toml"
