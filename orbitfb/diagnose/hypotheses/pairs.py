@@ -138,6 +138,38 @@ class _Mixed:
         return replace(self.several(scorer.space, numbers, sizes, evidence), cost=cost)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Top:
+    """Pairs that show most, weighed beside the healthy errors of all devices.
+
+    Without these a large effect of a given size has far more information than pull, and of any size
+    a neighbour of the true pair may have as much as that.
+
+    Args:
+        numbers: Of the pairs, shape (k,).
+        pull: Of them, the errors marginalised, shape (k,).
+        information: Of them, shape (k, k).
+    """
+
+    numbers: Indices
+    pull: Vector
+    information: Matrix
+
+    @classmethod
+    def of(cls, mixed: _Mixed, scorer: Scorer, shown: Vector) -> "_Top":
+        """Weigh those of which most is shown, shape (P,)."""
+        most = max(MOST_DEVICES, len(mixed.law.patterns))
+        numbers = np.argsort(-shown, kind="stable")[:most]
+        return cls(numbers, *mixed.told(scorer, numbers))
+
+    def best(self, free: bool) -> int:
+        """Number of that with most evidence, of any size or of the given one."""
+        information = np.maximum(np.diag(self.information), 0.0)
+        if free:
+            return int(self.numbers[np.argmax(normal_size(self.pull, information, SIZE_WIDTH**2))])
+        return int(self.numbers[np.argmax(given_size(self.pull, information))])
+
+
 def scan_pairs(kind: EffectKind, law: PairLaw, scorer: Scorer) -> list[Candidate]:
     """Find the best pair of a law, from all products of patterns and courses at once.
 
@@ -157,37 +189,18 @@ def scan_pairs(kind: EffectKind, law: PairLaw, scorer: Scorer) -> list[Candidate
         gain = (
             normal_size(pull, information, SIZE_WIDTH**2) if free else given_size(pull, information)
         )
-        number = _best(mixed, scorer, gain, pull, free)
+        number, top = int(np.argmax(gain)), None
+        if free or float(pull.max(initial=0.0)) >= SURE:
+            top = _Top.of(mixed, scorer, gain if free else pull)
+            number = top.best(free)
         best.append(_single(mixed, scorer, number, free))
-        if free:
-            sets += _sets(mixed, scorer, gain)
+        if free and top is not None:
+            sets += _sets(mixed, scorer, top)
         if not law.readings:
             shown = normal_size(pull, information, SIZE_WIDTH**2)
             shown[number] = max(shown[number], best[-1].evidence)
             sets += _late(mixed, scorer, shown)
     return [max(best, key=lambda one: one.evidence), *sets]
-
-
-def _best(mixed: _Mixed, scorer: Scorer, gain: Vector, pull: Vector, free: bool) -> int:
-    """The pair of most evidence, healthy errors marginalised where they count.
-
-    A large effect of a given size is told from the errors of all devices: without these it has far
-    more information than pull. Pairs that pull most are then weighed beside them.
-
-    Args:
-        mixed: The law.
-        scorer: Of what is left to explain.
-        gain: Log evidence of every pair without the errors, shape (P,).
-        pull: Of every pair, the errors marginalised, shape (P,).
-        free: Whether each pair may have any size.
-    """
-    if free or float(pull.max(initial=0.0)) < SURE:
-        return int(np.argmax(gain))
-    top = np.argsort(-pull, kind="stable")[: len(mixed.law.patterns)]
-    its, information = mixed.told(scorer, top)
-    told = given_size(its, np.diag(information))
-    best = int(np.argmax(told))
-    return int(top[best]) if told[best] > gain.max() else int(np.argmax(gain))
 
 
 def _single(mixed: _Mixed, scorer: Scorer, number: int, free: bool) -> Candidate:
@@ -226,30 +239,24 @@ def _late(mixed: _Mixed, scorer: Scorer, shown: Vector) -> Iterator[Candidate]:
             yield replace(coarse, field=None, finer=partial(mixed.late(number).told, scorer, rows))
 
 
-def _sets(mixed: _Mixed, scorer: Scorer, gain: Vector) -> Iterator[Candidate]:
-    """The best set of pairs, and all pairs, each with a size of its own.
-
-    Args:
-        mixed: The law.
-        scorer: Of what is left to explain.
-        gain: Log evidence of every pair for itself, shape (P,).
-    """
-    top = np.argsort(-gain)[: max(MOST_DEVICES, len(mixed.law.patterns))]
-    pull, information = mixed.told(scorer, top)
+def _sets(mixed: _Mixed, scorer: Scorer, several: "_Top") -> Iterator[Candidate]:
+    """The best set of pairs, and all pairs, each with a size of its own."""
+    top, count = several.numbers, len(mixed.law.pairs)
     cost = VALUE_COST * len(mixed.kind.parameters)
 
     def sized(chosen: Indices, width: float) -> NormalTerms:
         variance = np.full(len(chosen), width**2)
-        return NormalTerms(pull[chosen], information[np.ix_(chosen, chosen)], variance)
+        inner = several.information[np.ix_(chosen, chosen)]
+        return NormalTerms(several.pull[chosen], inner, variance)
 
-    choice = float(np.log(len(gain)))
-    found, evidence = grown_apart(pull, information, choice, True)
+    choice = float(np.log(count))
+    found, evidence = grown_apart(several.pull, several.information, choice, True)
     if len(found) > 1:
         chosen = np.array(found)
         terms = sized(chosen, SIZE_WIDTH)
         whole = cost + choice * len(found) + terms.cost(terms.mean())
         yield mixed.weighed(scorer, top[chosen], terms.mean(), whole)
-    if 1 < len(top) == len(gain):
+    if 1 < len(top) == count:
         every = np.arange(len(top))
         best, width = max((sized(every, one).evidence(), one) for one in WIDTHS)
         if best > evidence:
