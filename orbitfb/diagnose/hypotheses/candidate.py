@@ -45,6 +45,8 @@ class Candidate:
             not known yet.
         undone: Undo it in the readings: what that takes off them, as a spectrum of shape (T, n)
             [m], and the log by which it widens their density; None: nothing undoes it.
+        noise_after: Whether the noise of its BPMs comes after what they do to the orbit, which is
+            then told from the orbit and not undone in the readings.
         parts: What it consists of, where several of the effect were found at once.
         after: With it, over a floor of its own; None: it was not weighed so, or another is better.
         again: The same with the sizes that it has over another floor: one that was estimated with
@@ -74,6 +76,7 @@ class Candidate:
     deviations: Mapping[str, float] = dataclasses.field(default_factory=dict)
     cost: float | None = None
     undone: "Callable[[Workspace], tuple[Matrix, float]] | None" = None
+    noise_after: bool = False
     parts: "tuple[Candidate, ...]" = ()
     after: Workspace | None = None
     again: "Callable[[Workspace], Candidate] | None" = None
@@ -107,7 +110,8 @@ class Candidate:
             exact, widened = undo(space)
             if np.isfinite(exact).all() and np.isfinite(widened):
                 field = exact
-                space = replace(hearing(space, field), widened=space.widened + widened)
+                added = space.transform.summed(field)
+                space = replace(hearing(space, added), widened=space.widened + widened)
         elif field is not None and self.sources and self.kind.target == "bpm":
             space, field = self._heard(space, field)
         if field is not None:
@@ -169,7 +173,8 @@ class Candidate:
 
     def _undo(self) -> "Callable[[Workspace], tuple[Matrix, float]] | None":
         """How its sources are undone in the readings; None: they are not."""
-        if not self.sources or any(one.law.undone is None for one in self.sources):
+        told = self.noise_after or not self.sources
+        if told or any(one.law.undone is None for one in self.sources):
             return None
 
         def undo(space: Workspace) -> tuple[Matrix, float]:
@@ -184,17 +189,20 @@ class Candidate:
         return undo
 
     def _heard(self, space: Workspace, field: Matrix) -> tuple[Workspace, Matrix]:
-        """Tell what BPMs make of the orbit that is left when what they make of it is taken off."""
+        """Tell what BPMs make of the orbit that is left when what they make of it is taken off.
+
+        Where the orbit stood in the first row is known only from what they make of it there.
+        """
         for _ in range(HEARD):
-            space = hearing(space, field)
-            field = np.zeros_like(field)
+            added = np.zeros_like(space.signals.orbit)
             for one in self.sources:
                 chosen = list(one.places) if one.places else slice(None)
                 for block, course in zip(
                     one.law.patterns, one.of(space.signals, one.values), strict=True
                 ):
-                    wide = np.broadcast_to(course, (len(course), len(one.size))) * one.size
-                    field += space.transform.spectrum(wide) @ block[:, chosen].T
+                    added += course * one.size @ block[:, chosen].T
+            field = space.transform.spectrum(added)
+            space = hearing(space, added)
         return space, field
 
     def describe(self) -> str:

@@ -129,7 +129,7 @@ def _field(
         field = _summed(kind, moved, own, space)
         if kind.target == "bpm":
             for _ in range(HEARD):
-                heard = hearing(heard or space, field)
+                heard = hearing(heard or space, space.transform.summed(field))
                 field = _summed(kind, moved, own, heard)
         return field, heard
     for law in laws:

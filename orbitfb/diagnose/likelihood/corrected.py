@@ -14,16 +14,15 @@ from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.transform import Matrix
 
 
-def hearing(space: Workspace, field: Matrix) -> Workspace:
-    """Predict the orbit anew, readings being wrong by a field, and forget what laws made of it.
+def hearing(space: Workspace, added: Matrix) -> Workspace:
+    """Predict the orbit anew, readings being wrong, and forget what laws made of it.
 
     Args:
         space: Of the record.
-        field: Spectrum of what BPMs add to the readings, shape (T, n) [m].
+        added: What BPMs add to the readings, shape (N, n) [m].
     """
     record = space.signals.record
     modelled = record.setpoints @ record.layout.response.T
-    added = space.transform.summed(field)
     residual = record.readings - modelled - added
     orbit = predicted(residual, space.noise, space.transform) + modelled
     signals = replace(space.signals, orbit=orbit)

@@ -88,6 +88,28 @@ def refitted(candidates: Sequence[Candidate], space: Workspace, enough: float = 
     return Weighing(rivals.ranked(), bare, base, lost)
 
 
+def with_noise_after(
+    best: Candidate, weighing: Weighing, rival: float, owed: float = 0.0
+) -> Candidate:
+    """A law of BPMs whose noise comes after it, where that is likelier than noise that it takes.
+
+    It is told from the orbit that is foretold then, and so a little wrong, while an unknown law of
+    BPMs has its noise after it: only where that is likelier, this is asked.
+
+    Args:
+        best: The candidate that leads.
+        weighing: It was weighed so.
+        rival: Evidence of the best unknown law of BPMs [nats].
+        owed: What all of them owe besides [nats].
+    """
+    if weighing.base is None or not (best.sources and best.takes_noise) or rival <= best.evidence:
+        return best
+    after = replace(best, noise_after=True, after=None)
+    own, space = settled(after, weighing.bare, spread=False)
+    gain = space.log_posterior() - weighing.base - (own.cost or 0.0) - owed
+    return replace(own, evidence=gain, after=space) if gain > best.evidence else best
+
+
 @dataclass(slots=True)
 class _Rivals:
     """The candidates of a round, and what is known of their evidence.

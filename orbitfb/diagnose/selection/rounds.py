@@ -20,7 +20,7 @@ from orbitfb.diagnose.selection.echoes import (
     oddness,
 )
 from orbitfb.diagnose.selection.healthy_motion import with_motion
-from orbitfb.diagnose.selection.own_floors import refitted
+from orbitfb.diagnose.selection.own_floors import refitted, with_noise_after
 from orbitfb.diagnose.selection.settled import settled
 from orbitfb.diagnose.selection.undecided import drawn_with, leaders, undecided
 from orbitfb.diagnose.selection.unknown import unknown_laws
@@ -138,6 +138,9 @@ def tournament(
         deaf = coloured_names(accepted)
         base = None if accepted else weighing.base  # beside causes it is a share of them
         free = _less(unknown_laws(weighing.bare, candidates[:1], deaf, base), owed)
+        rival = max((one.evidence for one in free if one.target == "bpm"), default=0.0)
+        heard = [with_noise_after(one, weighing, rival, owed) for one in candidates[:1]]
+        candidates = strongest([*heard, *candidates[1:]])
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())

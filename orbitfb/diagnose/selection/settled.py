@@ -89,7 +89,8 @@ def _told(one: Candidate, after: Workspace) -> Candidate:
     if one.again is None:
         return one
     more = one.again(after)
-    return replace(more, cost=one.cost if more.cost is None else more.cost)
+    cost = one.cost if more.cost is None else more.cost
+    return replace(more, cost=cost, noise_after=one.noise_after)
 
 
 def _weight(field: Matrix, space: Workspace) -> float:

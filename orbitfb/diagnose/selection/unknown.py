@@ -19,8 +19,7 @@ def unknown_laws(
 
     A scan leaves out what healthy errors of other devices hide, and the floor what it stands in
     for. A law of the library is weighed beside all errors and over a floor of its own; so is an
-    unknown one that may be as good. But where the best takes the noise of BPMs along, which no
-    unknown law does, one of BPMs would have more by that alone.
+    unknown one that may be as good.
 
     Args:
         space: Over the best floor without any cause of the round.
@@ -38,9 +37,8 @@ def unknown_laws(
     several = [*near[:LEADING], *(one for one in near[LEADING:] if set(one.names) == names)]
     # What all do alike was weighed so when it was scanned.
     told = [one if one.of_all else exactly(one, scorer)[0] for one in several]
-    noise = any(one.takes_noise for one in best)
     for of_all in (False, True):
-        its = [one for one in told if one.of_all is of_all and not (noise and one.target == "bpm")]
+        its = [one for one in told if one.of_all is of_all]
         leads = max(its, key=_telling, default=None)
         if leads is not None and base is not None and leads.evidence > rival / SWALLOWED:
             told[told.index(leads)] = _over_own_floor(leads, space, base)

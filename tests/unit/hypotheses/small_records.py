@@ -55,6 +55,7 @@ def make_record(
     gain: float = 0.4,
     dither: float = 0.02,
     rows: int = ROWS,
+    noise_rms: float = NOISE,
 ) -> Record:
     """A loop of some gain with dither, a walk of random kicks, and white noise."""
     rng = np.random.default_rng(seed)
@@ -63,7 +64,7 @@ def make_record(
     kicks = (rng.standard_normal((rows, CORRECTORS)) * 1e-3).cumsum(axis=0)
     setpoints = np.zeros((rows, CORRECTORS))
     readings = np.zeros((rows, BPMS))
-    noise = NOISE * rng.standard_normal((rows, BPMS))
+    noise = noise_rms * rng.standard_normal((rows, BPMS))
     for row in range(rows):
         acting = currents(setpoints[: row + 1])[-1]
         orbit = response @ (acting + kicks[row])
