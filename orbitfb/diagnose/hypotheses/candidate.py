@@ -113,7 +113,7 @@ class Candidate:
                 added = space.transform.summed(field)
                 space = replace(hearing(space, added), widened=space.widened + widened)
         elif field is not None and self.sources and self.kind.target == "bpm":
-            space, field = self._heard(space, field)
+            space, field = self._heard(space)
         if field is not None:
             space = space.explaining(field)
         if self.walk is not None:
@@ -173,8 +173,8 @@ class Candidate:
 
     def _undo(self) -> "Callable[[Workspace], tuple[Matrix, float]] | None":
         """How its sources are undone in the readings; None: they are not."""
-        told = self.noise_after or not self.sources
-        if told or any(one.law.undone is None for one in self.sources):
+        heard = self.noise_after or not self.sources
+        if heard or any(one.law.undone is None for one in self.sources):
             return None
 
         def undo(space: Workspace) -> tuple[Matrix, float]:
@@ -188,22 +188,24 @@ class Candidate:
 
         return undo
 
-    def _heard(self, space: Workspace, field: Matrix) -> tuple[Workspace, Matrix]:
+    def _heard(self, space: Workspace) -> tuple[Workspace, Matrix]:
         """Tell what BPMs make of the orbit that is left when what they make of it is taken off.
 
         Where the orbit stood in the first row is known only from what they make of it there.
         """
         for _ in range(HEARD):
-            added = np.zeros_like(space.signals.orbit)
-            for one in self.sources:
-                chosen = list(one.places) if one.places else slice(None)
-                for block, course in zip(
-                    one.law.patterns, one.of(space.signals, one.values), strict=True
-                ):
-                    added += course * one.size @ block[:, chosen].T
-            field = space.transform.spectrum(added)
-            space = hearing(space, added)
-        return space, field
+            space = hearing(space, self._sensed(space))
+        return space, space.transform.spectrum(self._sensed(space))
+
+    def _sensed(self, space: Workspace) -> Matrix:
+        """What its BPMs make of the orbit, shape (N, n) [m]."""
+        added = np.zeros_like(space.signals.orbit)
+        for one in self.sources:
+            chosen = list(one.places) if one.places else slice(None)
+            courses = one.of(space.signals, one.values)
+            for block, course in zip(one.law.patterns, courses, strict=True):
+                added += (course * one.size) @ block[:, chosen].T
+        return added
 
     def describe(self) -> str:
         """Write it in a line, for logs and tests."""

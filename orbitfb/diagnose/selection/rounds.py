@@ -138,9 +138,9 @@ def tournament(
         deaf = coloured_names(accepted)
         base = None if accepted else weighing.base  # beside causes it is a share of them
         free = _less(unknown_laws(weighing.bare, candidates[:1], deaf, base), owed)
-        rival = max((one.evidence for one in free if one.target == "bpm"), default=0.0)
-        heard = [with_noise_after(one, weighing, rival, owed) for one in candidates[:1]]
-        candidates = strongest([*heard, *candidates[1:]])
+        if candidates:
+            rival = max((one.evidence for one in free if one.target == "bpm"), default=0.0)
+            candidates[0] = with_noise_after(candidates[0], weighing, rival, owed)
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())

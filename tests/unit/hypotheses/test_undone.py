@@ -72,6 +72,21 @@ def test_the_size_of_a_curve_is_that_which_undoes_it() -> None:
     assert accepted[0].values["quadratic"] == pytest.approx(-4000.0, rel=0.03)
 
 
+def test_a_curve_is_heard_from_where_the_orbit_stood() -> None:
+    """A BPM that is bent by 3.6 µm in the first row makes no other orbit of that."""
+    rng, layout = np.random.default_rng(7), make_record(11).layout
+    setpoints = 0.3 * rng.standard_normal((ROWS, layout.response.shape[1]))
+    orbit = 60e-6 + setpoints @ layout.response.T
+    bent = orbit.copy()
+    bent[:, 7] -= 1000.0 * orbit[:, 7] ** 2
+    record = recorded(layout, setpoints, bent + NOISE * rng.standard_normal(orbit.shape))
+    kind = effect("bpm-nonlinearity")
+    space = Workspace.of(record, [kind])
+    best = next(one for one in candidates_of(space, [kind]) if one.places == (7,))
+    heard = replace(best, noise_after=True).accepted(space).signals.orbit[:, 7]
+    assert abs(np.mean(heard - orbit[:, 7])) < 1e-6
+
+
 def test_readings_are_undone_once() -> None:
     """They are undone as they were read: what a law took off before would be there again."""
     polarity = Candidate(
