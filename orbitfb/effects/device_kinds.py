@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar, cast
 
 import numpy as np
@@ -57,12 +58,15 @@ class ActuatorKind(EffectKind):
             lost = self.drive(beginning, every, given.record.rows(0, 1)) - beginning
             return lost.reshape(given.currents.shape)
 
+        def some(given: Signals, columns: Indices) -> Signals:
+            return replace(given, currents=given.currents[:, columns])
+
         names = tuple(layout.correctors.label(i) for i in range(len(layout.correctors)))
         groups = layout.correctors.groups()
         return (
             DeviceLaw(
                 (layout.response,), course, names, groups,
-                first=first, driven=True, many=self.many,
+                first=first, driven=True, some=some, many=self.many,
             ),
         )  # fmt: skip
 
@@ -149,11 +153,15 @@ class SensorKind(EffectKind):
             restored, widened = self.restore(read, values, record)
             return read - restored, widened
 
+        def some(given: Signals, columns: Indices) -> Signals:
+            return replace(given, orbit=given.orbit[:, columns])
+
         names = tuple(layout.bpms.label(i) for i in range(len(layout.bpms)))
         return (
             DeviceLaw(
                 (np.eye(len(names)),), course, names, layout.bpms.groups(),
                 periodic=self.periodic, undone=undone if self.undoable else None,
+                some=some if self.parameters else None,
             ),
         )  # fmt: skip
 

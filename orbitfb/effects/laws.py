@@ -61,6 +61,8 @@ class DeviceLaw:
             loses its whole current at once, one that hangs nothing. None: nobody knows, as where
             it acts on an orbit.
         driven: Whether the courses follow from the currents alone, whatever the orbit is.
+        some: Signals of some devices alone, of which `course` and `first` tell what these do; None
+            where that does not follow from their own columns.
         many: Courses of all devices for several sets of values at once, shape (N, V · D); None
             where that is no quicker than one after the other.
         undone: What undoing the law takes off the readings of some BPMs, shape (N, k) [m], and the
@@ -76,6 +78,7 @@ class DeviceLaw:
     standing: bool = False
     first: Callable[[Values, Signals], Matrix] | None = None
     driven: bool = False
+    some: Callable[[Signals, Indices], Signals] | None = None
     many: Callable[[Sequence[Values], Signals], Matrix] | None = None
     undone: Callable[[Values, Signals, Indices], tuple[Matrix, Vector]] | None = None
 

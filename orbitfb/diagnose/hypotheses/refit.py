@@ -61,10 +61,16 @@ class Course:
 
     def of(self, signals: Signals, values: Values) -> tuple[Matrix, ...]:
         """Courses of the devices for given values, nothing before the onset, (N, k) or (N, 1)."""
-        chosen = list(self.places) if self.places else slice(None)
-        each = {name: values[name] * self._every(1.0, own) for name, own in self.own.items()}
-        if self.first is not None:
-            each[FIRST_STATE] = self._every(0.0, self.first)
+        own, state, chosen = dict(self.own), self.first, slice(None)
+        if self.law.some is not None and self.places:
+            signals = self.law.some(signals, np.array(self.places))
+        else:
+            chosen = list(self.places) if self.places else slice(None)
+            own = {name: self._every(1.0, mine) for name, mine in own.items()}
+            state = None if state is None else self._every(0.0, state)
+        each = {name: values[name] * factor for name, factor in own.items()}
+        if state is not None:
+            each[FIRST_STATE] = state
         values = cast(Values, {**values, **each})
         found, reached = [], None
         if self.onset and self.law.first is not None:

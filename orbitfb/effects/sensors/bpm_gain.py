@@ -69,7 +69,7 @@ class BpmGain(SensorKind):
             return (values["gain"] * (given.currents @ given.record.layout.response.T),)
 
         return [
-            replace(law, course=course, driven=True)
+            replace(law, course=course, driven=True, some=None)
             for law in super().laws(signals)
             if isinstance(law, DeviceLaw)
         ]

@@ -10,7 +10,8 @@ import pytest
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.element_kinds import ElementsKind
-from orbitfb.effects.kinds import Stage, Target
+from orbitfb.effects.kinds import FIRST_STATE, Stage, Target
+from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.registry import all_effects
@@ -208,6 +209,26 @@ def test_it_stays_where_it_is_put(kind, layout, setpoints, bare):
         np.testing.assert_array_equal(readings[:, others], bare[0][:, others])
     else:
         np.testing.assert_array_equal(currents[:, others], bare[1][:, others])
+
+
+@each_kind
+def test_what_some_devices_do_follows_from_their_own_columns(kind, record):
+    signals = Signals(record, record.setpoints, record.readings)
+    laws = [one for one in kind.laws(signals) if isinstance(one, DeviceLaw) and one.some]
+    if not laws:
+        pytest.skip("its devices do not act alone")
+    (law,), some = laws, np.array([4, 1])
+    for values in (*kind.grid(record)[:3], *kind.own_grid(record)[-1:]):
+        wide = values | (
+            {FIRST_STATE: np.linspace(-1, 1, len(law.names))} if kind.remembers else {}
+        )
+        own = {name: one[some] if np.ndim(one) else one for name, one in wide.items()}
+        given = law.some(signals, some)
+        for whole, part in zip(law.course(wide, signals), law.course(own, given), strict=True):
+            chosen = whole if whole.shape[1] == 1 else whole[:, some]
+            np.testing.assert_array_equal(part, chosen)
+        if law.first is not None:
+            np.testing.assert_array_equal(law.first(own, given), law.first(wide, signals)[:, some])
 
 
 @each_kind

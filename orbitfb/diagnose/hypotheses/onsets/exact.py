@@ -159,13 +159,15 @@ def _by_row(
     kick: bool,
 ) -> tuple[Vector, Vector]:
     """Pull and information of devices that begin together at a row, exactly, for every row."""
-    signals = scorer.space.signals
+    signals, numbers = scorer.space.signals, devices
+    if law.some is not None:
+        signals, numbers = law.some(signals, np.array(devices)), range(len(devices))
     reached = None if law.first is None else law.first(values, signals)
     patterns, late = [], []  # courses by row, of every device
     for pattern, course in zip(law.patterns, law.course(values, signals), strict=True):
-        for device in devices:
-            own = course if course.shape[1] == 1 else course[:, [device]]
-            known = [None if reached is None else reached[row, [device]] for row in rows]
+        for number, device in zip(numbers, devices, strict=True):
+            own = course if course.shape[1] == 1 else course[:, [number]]
+            known = [None if reached is None else reached[row, [number]] for row in rows]
             base = [based(own, row, kick, one) for row, one in zip(rows, known, strict=True)]
             begun = np.arange(len(own))[:, None] >= np.array(rows)
             patterns.append(pattern[:, device])
