@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.blind.compare import Paired, compare
-from benchmarks.blind.figures import calibration, confusion, median, rate, states, wilson
+from benchmarks.blind.figures import calibration, confusion, figures, median, rate, states, wilson
 from benchmarks.blind.judging import judge
 from benchmarks.blind.truth import TrueEffect, Truth
 
@@ -39,6 +39,17 @@ def test_calibration_error_is_that_of_a_hand_count() -> None:
     error, curve = calibration(cases)
     assert error == pytest.approx(0.5 * 0.45 + 0.5 * 0.25)
     assert [(row["right"], row["count"]) for row in curve] == [(0.5, 2), (0.5, 2)]
+
+
+def test_the_largest_evidence_where_there_is_nothing_is_told() -> None:
+    def quiet(truth: Truth, *nats: float):
+        return judge(
+            truth, {"state": "no_gap", "tournament": {"rows": [{"nats": n} for n in nats]}}
+        )
+
+    told = figures([quiet(NOTHING, -1.0, 4.5), quiet(NOTHING, 2.0), quiet(GAIN, 9.0)])
+    found = next(one for one in told if one.name.startswith("no gap: evidence"))
+    assert (found.value, found.count) == (4.5, 2)
 
 
 def test_confusion_and_states_count_every_record() -> None:

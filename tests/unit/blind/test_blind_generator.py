@@ -132,6 +132,7 @@ def test_every_known_effect_has_a_case_and_ten_more_are_in_no_library() -> None:
     assert set(known()) >= ASKED
     assert len(invented()) >= 10
     assert not set(invented()) & ASKED
+    assert not any(spec.effects for spec in plan("healthy", 1))
     quick = [spec.effects for spec in plan("quick", 1)]
     assert {name for effects in quick for name in effects} == set(known())
     assert quick.count(()) == 4

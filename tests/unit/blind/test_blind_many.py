@@ -33,6 +33,11 @@ def test_there_is_every_machine_and_every_effect(folder: Path) -> None:
     assert {one.truth.kind for one in cases if one not in healthy} == {"single"}
 
 
+def test_healthy_ones_have_no_fault(tmp_path: Path) -> None:
+    names = many.generate(3, tmp_path, None, healthy=True)
+    assert names == [f"{machine}-healthy" for machine in many.HEALTHY]
+
+
 def test_a_record_comes_again(folder: Path, tmp_path: Path) -> None:
     (name,) = many.generate(3, tmp_path / "again", 1)
     one, two = record(folder, name), record(tmp_path / "again", name)
