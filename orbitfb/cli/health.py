@@ -91,8 +91,8 @@ def probe(host: str, port: int, path: str, timeout: float) -> dict[str, Any]:
 def _sentence(answer: dict[str, Any], question: str) -> str:
     said = question if answer["good"] else f"not {question}"
     state = answer.get("state")
-    silent = "no tick yet" if answer["good"] else ""
-    parts = [str(answer.get("reason") or state or silent).strip()]
+    what = answer.get("reason") or state or ("no tick yet" if answer["good"] else "")
+    parts = [str(what).strip()]
     age = answer.get("last_tick_age_s")
     if answer["good"] and state and isinstance(age, int | float):
         parts.append(f"last tick {age:.2f} s ago")

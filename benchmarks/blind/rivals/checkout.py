@@ -5,8 +5,8 @@
         --engine benchmarks.blind.engines:installed \
         --engine benchmarks.blind.rivals.checkout:diagnose
 
-It runs in a process of its own with the packages of this environment. The processor time of its
-records is not counted.
+It runs in a process of its own with the packages of this environment, which counts as processor
+time of the record.
 """
 
 import json

@@ -95,8 +95,8 @@ class Candidate:
 
     @property
     def takes_noise(self) -> bool:
-        """Whether it is undone in the readings, noise included."""
-        return self.undone is not None or self._undo() is not None
+        """Whether its sources are undone in the readings, noise included."""
+        return self._undo() is not None
 
     def accepted(self, space: Workspace, spread: bool = True) -> Workspace:
         """Add it to what a workspace explains, and estimate the floor anew.

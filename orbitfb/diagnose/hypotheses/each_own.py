@@ -9,7 +9,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.onsets.every import every, shown_together
-from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, cost_of, scales, within
+from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, cost_of, needles, scales, within
 from orbitfb.diagnose.hypotheses.refit import Course, moved, spectrum_of, step_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import grown_apart
@@ -141,17 +141,16 @@ def _grown(
             total[:, mine] = part if part.shape[1] == 1 else part[:, mine]
     pull, information = scorer.score(law.patterns, spectra)
     information = scorer.marginal(kind, law.patterns, spectra, information)
-    return grown_apart(pull, information, _costs(kind, scorer, rank, number), free)
+    costs = np.array([_cost(kind, scorer, rank, number, at) for at in range(len(number))])
+    return grown_apart(pull, information, costs, free)
 
 
-def _costs(kind: EffectKind, scorer: Scorer, rank: Ranked, number: np.ndarray) -> Vector:
-    """What choosing each device and its value costs, shape (D,) [nats]."""
-    costs = np.full(len(number), np.log(len(number)))
+def _cost(kind: EffectKind, scorer: Scorer, rank: Ranked, number: np.ndarray, device: int) -> float:
+    """What choosing a device and its value costs [nats]."""
+    cost = float(np.log(len(number)))
     if len(rank.alone) > 1:
-        record = scorer.space.signals.record
-        told = [kind.told_apart(rank.values(int(one), at), record) for at, one in enumerate(number)]
-        costs += VALUE_COST + np.log(told)
-    return costs
+        cost += VALUE_COST + needles(kind, rank.values(int(number[device]), device), scorer)
+    return cost
 
 
 def _candidate(
@@ -170,7 +169,7 @@ def _candidate(
     ]
     value = next((p.name for p in kind.parameters if p.log), None)
     its = _Set(
-        kind, free, float(_costs(kind, scorer, rank, number)[chosen].sum()),
+        kind, free, sum(_cost(kind, scorer, rank, number, one) for one in chosen),
         value if len(rank.alone) > 1 else None,
         tuple(own[value] for own in rank.own if value in own),
     )  # fmt: skip

@@ -184,9 +184,13 @@ def worths_of(kind: EffectKind) -> list[tuple[Worth, bool]]:
 
 def cost_of(kind: EffectKind, values: Values, scorer: Scorer) -> float:
     """What choosing the values of an effect costs [nats]."""
-    record = scorer.space.signals.record
-    told_apart = float(np.log(kind.told_apart(values, record)))
-    return VALUE_COST * len(kind.set_by(values, record)) + told_apart
+    chosen = kind.set_by(values, scorer.space.signals.record)
+    return VALUE_COST * len(chosen) + needles(kind, values, scorer)
+
+
+def needles(kind: EffectKind, values: Values, scorer: Scorer) -> float:
+    """What values cost besides, because others were as likely to be the best by chance [nats]."""
+    return float(np.log(kind.told_apart(values, scorer.space.signals.record)))
 
 
 def scales(kind: EffectKind) -> bool:

@@ -91,10 +91,10 @@ def refitted(candidates: Sequence[Candidate], space: Workspace, enough: float = 
 def with_noise_after(
     best: Candidate, weighing: Weighing, rival: float, owed: float = 0.0
 ) -> Candidate:
-    """A law of BPMs whose noise comes after it, where that is likelier than noise that it takes.
+    """The same with the noise of its BPMs after what they do, if that is likelier.
 
-    It is told from the orbit that is foretold then, and so a little wrong, while an unknown law of
-    BPMs has its noise after it: only where that is likelier, this is asked.
+    Such a law is told from the predicted orbit, and so a little wrong. It is weighed only where an
+    unknown law of BPMs, which has the noise after it, is likelier than the best with noise before.
 
     Args:
         best: The candidate that leads.
@@ -102,7 +102,7 @@ def with_noise_after(
         rival: Evidence of the best unknown law of BPMs [nats].
         owed: What all of them owe besides [nats].
     """
-    if weighing.base is None or not (best.sources and best.takes_noise) or rival <= best.evidence:
+    if weighing.base is None or not best.takes_noise or rival <= best.evidence:
         return best
     after = replace(best, noise_after=True, after=None)
     own, space = settled(after, weighing.bare, spread=False)

@@ -140,7 +140,8 @@ def tournament(
         free = _less(unknown_laws(weighing.bare, candidates[:1], deaf, base), owed)
         if candidates:
             rival = max((one.evidence for one in free if one.target == "bpm"), default=0.0)
-            candidates[0] = with_noise_after(candidates[0], weighing, rival, owed)
+            heard = with_noise_after(candidates[0], weighing, rival, owed)
+            candidates = [heard, *candidates[1:]]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())

@@ -68,7 +68,7 @@ class BpmGain(SensorKind):
         def course(values: Values, given: Signals) -> tuple[Matrix, ...]:
             return (values["gain"] * (given.currents @ given.record.layout.response.T),)
 
-        return [
+        return [  # what correctors drive at a BPM is in no column of the orbit: none acts alone
             replace(law, course=course, driven=True, some=None)
             for law in super().laws(signals)
             if isinstance(law, DeviceLaw)

@@ -14,7 +14,7 @@ from benchmarks.blind.engines import EngineError, ask, fingerprint, load
 from benchmarks.blind.workers import Task, diagnose_all
 
 ENGINE = """
-import os, pathlib, time
+import os, pathlib, subprocess, sys, time
 
 def answer(record, *, without=()):
     with open(record.with_suffix(".asked"), "a") as file:
@@ -27,6 +27,9 @@ def answer(record, *, without=()):
         pathlib.Path(record.with_suffix(".pid")).write_text(str(os.getpid()))
         while record.stem == "hangs":
             pass
+    if record.stem == "asks":
+        busy = "import time\\nwhile time.process_time() < 0.5: pass"
+        subprocess.run([sys.executable, "-c", busy], check=True)
     if record.stem == "sleeps":
         time.sleep(60)
     threads = os.environ.get("OPENBLAS_NUM_THREADS")
@@ -46,6 +49,11 @@ def engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 def task(folder: Path, engine: str, name: str, state: str = "1", **more) -> Task:
     values = {"later": None, "ring": None, "without": ()} | more
     return Task(engine, folder / name, keep=folder / "kept" / f"{name}.json", state=state, **values)
+
+
+def test_the_time_of_a_process_that_an_engine_asks_counts(tmp_path: Path, engine: str) -> None:
+    (answer,) = diagnose_all([task(tmp_path, engine, "asks")], 1)
+    assert answer.cpu > 0.4
 
 
 def test_what_dies_or_raises_is_told_and_the_rest_is_answered(tmp_path: Path, engine: str) -> None:
