@@ -13,6 +13,7 @@ from orbitfb.diagnose.result.parts import Finding, Provenance
 from orbitfb.diagnose.screen.companion import read_beside
 from orbitfb.diagnose.screen.planes import check_planes
 from orbitfb.diagnose.screen.run import screen
+from orbitfb.diagnose.screen.runaway import without_runaway
 from orbitfb.diagnose.screen.spikes import without_spikes
 from orbitfb.diagnose.verdict.engine import diagnose
 from orbitfb.physics.places import Planes, Ring
@@ -57,9 +58,9 @@ def diagnose_files(
         for path in (reference, holdout)
     ]
     progress("screening", 0.0)
-    record_itself, spikes = without_spikes(loaded.record)
-    others = [None if one is None else without_spikes(one)[0] for one in others]
-    found = (*loaded.findings, *spikes, *screen(record_itself))
+    record_itself, left_out = _usable(loaded.record)
+    others = [None if one is None else _usable(one)[0] for one in others]
+    found = (*loaded.findings, *left_out, *screen(record_itself))
     check_planes(planes, found)
     findings = reported(found)
     if any(finding.severity == "failure" for finding in findings):
@@ -77,6 +78,13 @@ def diagnose_files(
         raise EstimationError(f"{record}: {error}") from error
     merged = tuple(dict.fromkeys((*findings, *answer.findings)))
     return answer.model_copy(update={"findings": merged})
+
+
+def _usable(record: Record) -> tuple[Record, list[Found]]:
+    """A record without the readings that say nothing, and what was left out of it."""
+    near, runaway = without_runaway(record)
+    plain, spikes = without_spikes(near)
+    return plain, [*runaway, *spikes]
 
 
 def reported(findings: Iterable[Found]) -> tuple[Finding, ...]:

@@ -51,7 +51,8 @@ def engine(monkeypatch):
     its.page = writing.page  # some seconds of pictures: one test looks at them
     monkeypatch.setattr(writing, "page", lambda diagnosis: "<html></html>")
     monkeypatch.setattr(files, "diagnose", diagnose)
-    monkeypatch.setattr(files, "without_spikes", lambda record: (record, []))
+    for name in ("without_runaway", "without_spikes"):
+        monkeypatch.setattr(files, name, lambda record: (record, []))
     for module in (files, companion):
         monkeypatch.setattr(module, "load", load)
         monkeypatch.setattr(module, "screen", lambda record: its.findings)
