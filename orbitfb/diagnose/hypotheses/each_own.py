@@ -34,6 +34,10 @@ from orbitfb.estimation.priors import (
 )
 from orbitfb.estimation.transform import Matrix
 
+_REACH = float(np.log(4.0))
+"""Logarithm of the ratio within which a value is sought that hardly differs within a grid. By hand:
+a grid has one or two of them."""
+
 
 def scan_each_own(
     kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked
@@ -167,11 +171,11 @@ def _candidate(
         Course(law, (place,), rank.values(int(number[place]), place), np.ones(1))
         for place in chosen
     ]
-    value = next((p.name for p in kind.parameters if p.log), None)
+    logs = [p.name for p in kind.fitted(scorer.space.signals.record) if p.log and not p.whole]
     its = _Set(
         kind, free, sum(_cost(kind, scorer, rank, number, one) for one in chosen),
-        value if len(rank.alone) > 1 else None,
-        tuple(own[value] for own in rank.own if value in own),
+        tuple(logs) if len(rank.alone) > 1 else (),
+        tuple(own[logs[0]] for own in rank.own if logs[0] in own) if logs else (),
     )  # fmt: skip
     return its.told(sources, scorer, MOST_REFINED)
 
@@ -184,21 +188,21 @@ class _Set:
         kind: The effect.
         free: Whether each may have any size.
         cost: Of the devices and their values [nats].
-        value: Name of the value that differs from device to device; None: there is none.
-        known: Values that the kind knows for its devices, numbers or of shape (D,); empty: a device
-            has one near that of the grid.
+        names: Of the values that differ from device to device, the one that runs in the grid first.
+        known: Values of that one that the kind knows for its devices, numbers or of shape (D,);
+            empty: a device has one near that of the grid.
     """
 
     kind: EffectKind
     free: bool
     cost: float
-    value: str | None
+    names: tuple[str, ...]
     known: tuple[Vector | float, ...]
 
     @property
     def _is_told_again(self) -> bool:
         """Whether values are; what remembers has them told with its states (`device_by_device`)."""
-        return self.value is not None and not self.kind.remembers
+        return bool(self.names) and not self.kind.remembers
 
     def told(self, sources: Sequence[Course], scorer: Scorer, refined: int) -> Candidate:
         """Evaluate them as they are, and with values that are sought for the first of them.
@@ -211,8 +215,10 @@ class _Set:
             refined: How many are sought.
         """
         found = [self._exact(sources, scorer)]
-        if self.value is not None:
-            nearer = self._nearer(sources, scorer, refined, self.value)
+        nearer = list(sources)
+        for name in (*self.names, *self.names[:-1]):  # again beside the others
+            nearer = self._nearer(nearer, scorer, refined, name)
+        if self.names:
             found.append(self._exact(nearer, scorer))
         return max(found, key=lambda one: one.evidence)
 
@@ -266,10 +272,11 @@ class _Set:
         Together, as each for itself is right only as far as the others are; one after the other
         where a course does not follow its value in a straight line.
         """
-        lower, name = Scorer.of(over(scorer.space, after)), str(self.value)
+        lower = Scorer.of(over(scorer.space, after))
         now = self._exact(sources, lower)
         for _ in range(NEARER_TURNS):
-            step, promised = step_of(now.sources, name, lower)
+            steps = [(name, *step_of(now.sources, name, lower)) for name in self.names]
+            name, step, promised = max(steps, key=lambda one: one[2])
             if promised < NEARER:
                 return now
             nearer = (moved(now.sources, name, share * step) for share in STEPS)
@@ -283,10 +290,13 @@ class _Set:
     def _nearest(self, scorer: Scorer, source: Course, late: Matrix, name: str) -> Course:
         """Search the value of one device on what the others leave: among some, and ever nearer."""
         now, place, signals = source.values.get(name, 0.0), source.places[0], scorer.space.signals
-        if now <= 0.0:
+        parameter = next(one for one in self.kind.parameters if one.name == name)
+        if now <= 0.0 or (parameter.optional and now == parameter.nominal):
             return source
-        line = now * np.exp(np.linspace(-OWN_REACH, OWN_REACH, OWN_VALUES))
-        if self.known:
+        first = name == self.names[0]
+        reach = OWN_REACH if first else _REACH
+        line = now * np.exp(np.linspace(-reach, reach, OWN_VALUES))
+        if self.known and first:
             every = len(source.law.names)
             others = [float(np.broadcast_to(one, every)[place]) for one in self.known]
             line = np.unique([now, *(one for one in others if one > 0.0)])

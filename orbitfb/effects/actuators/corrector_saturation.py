@@ -24,11 +24,13 @@ _CORNERS = (
     (0.0, (0.1, 0.2, 0.3, 0.4, 0.55, 0.75)),
     (0.05, (0.0, 0.05, 0.1, 0.2, 0.4)),
     (0.15, (-0.3, -0.1, 0.1, 0.3)),
+    (0.5, (-0.6, 0.0, 0.6)),
 )
 """Roundings, and with each distances of the limit below the top, as shares of the range."""
 
-_SOFT = (0.15, (-0.3, 0.0, 0.3))
-"""Rounding of soft limits, and their distances below the top, as shares of the range."""
+_SOFT = ((0.15, (-0.3, 0.0, 0.3)), (0.5, (-0.6, 0.0, 0.6)))
+"""Roundings of soft limits, and their distances below the top, as shares of the range: over a wider
+corner a setpoint moves in a straight line."""
 
 _SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
 """Shares of the rows in which a setpoint is below the limits that are scanned."""
@@ -101,9 +103,9 @@ class CorrectorSaturation(ActuatorKind):
         sizes = np.quantile(every, np.clip(shares, 0.0, 1.0), axis=0)
         sharp = [{"limit": one, "side": 0.0, "rounding": _SHARP} for one in sizes]
         top, reach = every.max(axis=0), np.maximum(np.ptp(every, axis=0), _SHARP)
-        rounding, below = _SOFT
         soft = [
             {"limit": top - share * reach, "side": 0.0, "rounding": rounding * reach}
+            for rounding, below in _SOFT
             for share in below
         ]
         return (*sharp, *soft)

@@ -57,6 +57,24 @@ def test_a_limit_is_told_though_few_rows_show_it_or_it_begins_late(rows: int, on
     assert bool(accepted[0].onset) == bool(onset)
 
 
+def test_a_limit_whose_corner_is_half_as_wide_as_the_range_is_told() -> None:
+    """It bends all that the setpoint does: a gain of the corrector is nearly as likely."""
+    rng, layout = np.random.default_rng(8), make_record(11).layout
+    setpoints = 5.0 + 0.1 * rng.standard_normal((ROWS, CORRECTORS))
+    acting = setpoints.copy()
+    acting[:, LIMITED] -= 0.3 * np.log1p(np.exp((setpoints[:, LIMITED] - 5.0) / 0.3))
+    kicks = (1e-3 * rng.standard_normal((ROWS, CORRECTORS))).cumsum(axis=0)
+    noise = 0.1 * NOISE * rng.standard_normal((ROWS, BPMS))
+    record = recorded(layout, setpoints, (acting + kicks) @ layout.response.T + noise)
+    kinds = kinds_for(record)
+
+    accepted, _ = tournament(Workspace.of(record, kinds), kinds)
+
+    assert [(one.kind.id, one.places) for one in accepted] == [("corrector-saturation", (LIMITED,))]
+    assert accepted[0].values["limit"] == pytest.approx(5.0, abs=0.02)
+    assert accepted[0].values["rounding"] == pytest.approx(0.3, rel=0.05)
+
+
 def test_a_ring_of_one_corrector_has_limits() -> None:
     """One value for all devices is no value of each, though there is one of each."""
     record, _ = limited(3, 0, 6)
