@@ -7,7 +7,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.refit import Course
+from orbitfb.diagnose.hypotheses.refit import Course, summed
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, FieldLaw, PairLaw, Signals
 from orbitfb.estimation.transform import Matrix, StepTransform
@@ -113,17 +113,9 @@ def _of_courses(
     kind: EffectKind, sources: tuple[Course, ...], signals: Signals, transform: StepTransform
 ) -> Change:
     """Devices with courses of their own."""
-    field = 0.0
-    free: dict[str, Matrix] = {}
-    for one in sources:
-        chosen = list(one.places) if one.places else slice(None)
-        for block, course in zip(one.law.patterns, one.of(signals, one.values), strict=True):
-            wide = np.broadcast_to(course, (len(course), len(one.size))) * one.size
-            field = field + transform.spectrum(wide) @ block[:, chosen].T
-        for name, patterns, courses in one.columns(kind, signals):
-            added = transform.spectrum(courses) @ patterns.T
-            free[name] = free[name] + added if name in free else added
-    return Change(np.asarray(field), tuple(free.values()))
+    field = np.sum([one.added(signals, transform) for one in sources], axis=0)
+    free = summed((column for one in sources for column in one.columns(kind, signals)), transform)
+    return Change(field, tuple(free.values()))
 
 
 def _pair(law: PairLaw, struck: tuple[int, ...]) -> int | None:

@@ -20,8 +20,10 @@ from orbitfb.diagnose.hypotheses.ranking import (
 from orbitfb.diagnose.hypotheses.refit import Course, highest, highest_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import best_set
-from orbitfb.diagnose.hypotheses.undone import bent
+from orbitfb.diagnose.hypotheses.undone.bent import bends, bent, scaled
+from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.terms import Single
+from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import best_size, given_size
@@ -241,7 +243,7 @@ def evaluated(
     courses = source.of(scorer.space.signals, values)
     field = field_of(law, scorer, courses, places, source.size)
     pull, information = scorer.evaluate([field])
-    size, paid = 1.0, cost + choices(law, places)
+    size, paid, undoes = 1.0, cost + choices(law, places), False
     if onset:
         paid += float(np.log(scorer.space.transform.rows))
     if free:
@@ -249,17 +251,30 @@ def evaluated(
         gain, field = any_size_at(pull, information[0], size), size * field
         worth = float(pull[0] * size - 0.5 * information[0, 0] * size**2)
         paid += worth - gain
-        if law.undone is not None and len(places) == 1 and gain > 0.0:
-            source, size, worth, field = bent(kind, law, scorer, source, size, worth, field)
+        undoes = law.undone is not None and len(places) == 1 and gain > 0.0
     else:
         worth = float(given_size(pull, information[0])[0])
-    scaled = {**source.values}
-    for parameter in kind.sizes:
-        scaled[parameter.name] = size * source.values[parameter.name]
     names = tuple(law.names[place] for place in places)
+    told = scaled(kind, source, size)
+    if undoes and bends(kind, scorer, told, worth):
+        found = Candidate(kind, places, names, told.values, 0.0, onset=onset, cost=paid)
+        return _undone(found, told, scorer)
     return Candidate(
-        kind, places, names, scaled, worth - paid, onset=onset, field=field.astype(float),
+        kind, places, names, told.values, worth - paid, onset=onset, field=field.astype(float),
         sources=(replace(source, size=size * source.size),), cost=paid,
+    )  # fmt: skip
+
+
+def _undone(one: Candidate, source: Course, scorer: Scorer) -> Candidate:
+    """A BPM with the sizes that undo its readings, over any floor."""
+
+    def again(after: Workspace) -> Candidate:
+        return _undone(one, best, Scorer.of(over(scorer.space, after)))
+
+    best, worth, field = bent(one.kind, scorer, source)
+    return replace(
+        one, values=best.values, evidence=worth - (one.cost or 0.0), field=field.astype(float),
+        sources=(best,), again=again,
     )  # fmt: skip
 
 

@@ -95,7 +95,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
     alone = np.full((len(grid) + len(own), devices), -np.inf)
     together = np.full((len(grid), 2), -np.inf)  # of all devices, and of the best group
     shown = np.zeros(len(grid) + len(own))
-    groups = list(law.groups.values())
+    groups, seen_late = list(law.groups.values()), sign if scales(kind) else part
     for number, values in enumerate((*grid, *own)):
         spectra = scorer.space.courses.spectra(law, values)
         if not any(np.any(one) for one in spectra):
@@ -103,7 +103,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
         pull, information = scorer.apart(law, values, error)
         worths = [worth for worth, _ in worths_of(kind)]
         alone[number] = np.max([worth(pull, information) for worth in worths], axis=0)
-        shown[number] = float(sign(pull, information).max())
+        shown[number] = float(seen_late(pull, information).max())
         if number >= len(grid):
             continue
         seen = [
@@ -114,7 +114,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
         whole = np.array([[one, *parts] for one, parts in seen]).sum(axis=0)
         gain = np.max([worth(total, whole) for worth in worths], axis=0)
         together[number] = gain[0], gain[1:].max(initial=-np.inf)
-        shown[number] = max(shown[number], float(sign(total, whole).max()))
+        shown[number] = max(shown[number], float(seen_late(total, whole).max()))
     top = alone[: len(grid)].max(axis=1)
     marks = (top, *together.T)
     best = {int(one) for mark in marks for one in np.argsort(-mark)[:RANKED_VALUES]}
@@ -153,6 +153,12 @@ def stood_in(kind: EffectKind, law: DeviceLaw, values: OwnValues, scorer: Scorer
 def sign(pull: Vector, information: Vector) -> Vector:
     """Log likelihood ratio of terms with their best sizes."""
     return pull**2 / (2.0 * np.maximum(information, 1e-300))
+
+
+def part(pull: Vector, information: Vector) -> Vector:
+    """The same of terms that begin late: the whole record shows a share of their size, if any."""
+    share = np.clip(pull / np.maximum(information, 1e-300), 0.0, 1.0)
+    return share * pull - 0.5 * share**2 * information
 
 
 def _grid(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Sequence[Values]:

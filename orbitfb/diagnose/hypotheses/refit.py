@@ -7,7 +7,7 @@ columns join the healthy errors: the scatter of δ is a variance component of it
 is tried later is weighed with all δ marginalised (a joint refit).
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -20,7 +20,7 @@ from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import FIRST_STATE, EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.estimation.priors import BEND, FINENESS, KNOWN_TO, OWN_REACH, SLOPE
-from orbitfb.estimation.transform import Indices, Matrix
+from orbitfb.estimation.transform import Indices, Matrix, StepTransform
 
 _SIMPLEX = 0.2
 """Change of each logarithm with which several values are sought at once."""
@@ -83,6 +83,14 @@ class Course:
             found.append(part)
         return tuple(found)
 
+    def added(self, signals: Signals, transform: StepTransform) -> Matrix:
+        """What its devices add to the readings: spectrum of shape (T, n) [m]."""
+        chosen, total = list(self.places) if self.places else slice(None), 0.0
+        for block, course in zip(self.law.patterns, self.of(signals, self.values), strict=True):
+            wide = np.broadcast_to(course, (len(course), len(self.size))) * self.size
+            total = total + transform.spectrum(wide) @ block[:, chosen].T
+        return np.asarray(total)
+
     def _every(self, others: float, mine: Vector) -> Vector:
         """Numbers of all devices of the law, shape (D,): of those of the course, and of others."""
         every = np.full(len(self.law.names), others)
@@ -107,27 +115,61 @@ class Course:
 
     def columns(self, kind: EffectKind, signals: Signals) -> Iterator[tuple[str, Matrix, Matrix]]:
         """Parameter, patterns (n, k), courses (N, k) of a relative change of each by 1."""
-        chosen = list(self.places) if self.places else slice(None)
         now = self.of(signals, self.values)
         scaled = {parameter.name for parameter in kind.sizes}
         fitted = {parameter.name for parameter in kind.fitted(signals.record)}
-        changes: list[tuple[str, tuple[Matrix, ...]]] = []
-        if scaled:
-            changes.append((next(iter(sorted(scaled))), now))
+        if len(scaled) == 1:
+            yield from self._along(next(iter(scaled)), now)
+            fitted -= scaled
         for parameter in kind.parameters:
             value = self.values.get(parameter.name, 0.0)
             free = parameter.name in fitted and not parameter.meanings
-            if parameter.name in scaled or not free or parameter.whole or value == 0.0:
+            if not free or parameter.whole or value == 0.0:
                 continue
-            moved = self.of(signals, {**self.values, parameter.name: value * (1.0 + SLOPE)})
-            slope = tuple((new - old) / SLOPE for new, old in zip(moved, now, strict=True))
-            changes.append((parameter.name, slope))
-        for name, change in changes:
-            for block, course in zip(self.law.patterns, change, strict=True):
-                pattern = block[:, chosen]
-                if np.any(pattern) and np.any(course):
-                    wide = np.broadcast_to(course, (len(course), pattern.shape[1]))
-                    yield name, pattern, wide * self.size
+            yield from self._slope(parameter.name, value, now, signals)
+
+    def unset(
+        self, kind: EffectKind, signals: Signals, most: Values
+    ) -> Iterator[tuple[str, Matrix, Matrix]]:
+        """The same of each of its sizes that is zero, as it would be the most that is thinkable.
+
+        Args:
+            kind: The effect.
+            signals: On which it acts.
+            most: Such sizes.
+        """
+        now = self.of(signals, self.values)
+        for name, value in most.items():
+            if self.values[name] == 0.0:
+                yield from self._slope(name, value, now, signals)
+
+    def _slope(
+        self, name: str, unit: float, now: Sequence[Matrix], signals: Signals
+    ) -> Iterator[tuple[str, Matrix, Matrix]]:
+        """What a value that grows by a unit changes."""
+        moved = self.of(signals, {**self.values, name: self.values[name] + SLOPE * unit})
+        slope = [(new - old) / SLOPE for new, old in zip(moved, now, strict=True)]
+        yield from self._along(name, slope)
+
+    def _along(self, name: str, courses: Sequence[Matrix]) -> Iterator[tuple[str, Matrix, Matrix]]:
+        """Courses beside their patterns, block by block, where there are any."""
+        chosen = list(self.places) if self.places else slice(None)
+        for block, course in zip(self.law.patterns, courses, strict=True):
+            pattern = block[:, chosen]
+            if np.any(pattern) and np.any(course):
+                wide = np.broadcast_to(course, (len(course), pattern.shape[1]))
+                yield name, pattern, wide * self.size
+
+
+def summed(
+    columns: Iterable[tuple[str, Matrix, Matrix]], transform: StepTransform
+) -> dict[str, Matrix]:
+    """What columns add together: spectra (T, n) [m], by parameter."""
+    found: dict[str, Matrix] = {}
+    for name, patterns, courses in columns:
+        added = transform.spectrum(courses) @ patterns.T
+        found[name] = found[name] + added if name in found else added
+    return found
 
 
 def based(course: Matrix, onset: int, kick: bool, reached: Vector | None) -> Vector:

@@ -19,7 +19,7 @@ from orbitfb.diagnose.hypotheses.pairs import scan_pairs
 from orbitfb.diagnose.hypotheses.random_laws import scan_random
 from orbitfb.diagnose.hypotheses.ranking import ranked
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.hypotheses.undone import scan_undone
+from orbitfb.diagnose.hypotheses.undone.scan import scan_undone
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, ElementsLaw, EventLaw, FieldLaw, Law, PairLaw

@@ -160,10 +160,7 @@ def _summed(
         for name, patterns, courses in one.columns(kind, space.signals) if own else ():
             if name in own:
                 total += space.transform.spectrum(courses * own[name]) @ patterns.T
-        chosen = list(one.places) if one.places else slice(None)
-        for block, course in zip(one.law.patterns, one.of(space.signals, one.values), strict=True):
-            wide = np.broadcast_to(course, (len(course), len(one.size))) * one.size
-            total += space.transform.spectrum(wide) @ block[:, chosen].T
+        total += one.added(space.signals, space.transform)
     return total
 
 

@@ -67,6 +67,11 @@ class Courses:
             self._grids[kind.id] = tuple(kind.grid(self.signals.record))
         return self._grids[kind.id]
 
+    def largest(self, kind: EffectKind) -> Values:
+        """The largest of each of its sizes that is scanned."""
+        grid = self.grid(kind)
+        return {one.name: max(abs(values[one.name]) for values in grid) for one in kind.sizes}
+
     def spectra(self, law: DeviceLaw, values: OwnValues) -> tuple[Single, ...]:
         """Transformed steps of a law's courses, a block per block, (T, D) or (T, 1) each.
 

@@ -6,10 +6,12 @@ import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.random_laws import of_variance, scaled
+from orbitfb.diagnose.hypotheses.refit import summed
 from orbitfb.diagnose.likelihood.corrected import over
+from orbitfb.diagnose.likelihood.weighed import Weighed
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.estimation.noise import StepNoise
-from orbitfb.estimation.priors import HEARD, SETTLED, SURE
+from orbitfb.estimation.priors import HEARD, KNOWN_TO, NEARER, SETTLED, SURE
 from orbitfb.estimation.transform import Matrix
 
 _TURNS = 8
@@ -36,19 +38,78 @@ def settled(best: Candidate, space: Workspace, spread: bool = True) -> tuple[Can
     if best.after is not None:  # it begins at the floor that it has already
         space = replace(over(space, best.after), trust=space.trust)
         best = replace(_told(best, best.after), after=None)
-    after = best.accepted(space, spread)
+    shared = spread and _is_shared(best)
+    alike = not spread or shared
+    after = best.accepted(space, not alike)
     for _ in range(HEARD):
         if best.again is None or best.field is None:
             break
         more = _told(best, after)
         moved = _weight(np.asarray(more.field) - best.field, after)
-        if moved < SURE:  # too little for another cause to be named for it
+        if moved < (2.0 * NEARER if spread else SURE):
             break
         little = moved < SETTLED**2 * _weight(best.field, after)
-        best, after = more, more.accepted(replace(space, noise=after.noise), spread)
+        nearer = more.accepted(replace(space, noise=after.noise), not alike)
+        if _worth(more, nearer) < _worth(best, after) + NEARER:
+            break
+        best, after = more, nearer
         if little:
             break
+    if shared:
+        best, after = _nearer(best, space, after)
+        after = best.accepted(replace(space, noise=after.noise))
     return _sized(best, space, after) if spread else (best, after)
+
+
+def _is_shared(best: Candidate) -> bool:
+    """Whether its devices share values that are told by their courses alone."""
+    if len(best.sources) != 1 or best.takes_noise:
+        return False
+    source = best.sources[0]
+    return not source.elements and not source.own and source.first is None
+
+
+def _nearer(best: Candidate, space: Workspace, after: Workspace) -> tuple[Candidate, Workspace]:
+    """Tell the values that its devices share over the floor that it leaves.
+
+    By steps of Gauss and Newton, as long as they make the readings likelier.
+
+    Args:
+        best: The cause.
+        space: Without it.
+        after: With it, its devices all alike.
+    """
+    bounds = {one.name: (one.low, one.high) for one in best.kind.parameters}
+    for _ in range(HEARD):
+        # Currents that have the cause already have nothing of it left.
+        signals = replace(after.signals, currents=space.signals.currents)
+        fields = summed(best.sources[0].columns(best.kind, signals), after.transform)
+        if not fields:
+            break
+        pull, information = Weighed.of(after).evaluate(list(fields.values()))
+        inner = information + np.eye(len(fields)) / KNOWN_TO**2
+        step = np.linalg.solve(inner, pull)
+        if step @ pull - 0.5 * step @ inner @ step < NEARER:
+            break
+        source, told = best.sources[0], dict(best.values)
+        factors = {}
+        for name, change in zip(fields, step.tolist(), strict=True):
+            low, high = sorted(end / told[name] for end in bounds[name])
+            factors[name] = min(max(1.0 + change, 0.5, low), high)
+            told[name] *= factors[name]
+        values = {name: factors.get(name, 1.0) * one for name, one in source.values.items()}
+        moved = replace(source, values=values)
+        field = moved.added(signals, after.transform) - source.added(signals, after.transform)
+        field += np.asarray(best.field)  # which may have a first kick besides
+        grown = factors.get(best.kind.linear or "", 1.0)
+        sizes = tuple(grown * one for one in best.sizes)
+        more = replace(best, sources=(moved,), values=told, sizes=sizes, field=field)
+        nearer = more.accepted(replace(space, noise=after.noise), spread=False)
+        gain = nearer.log_posterior() - after.log_posterior()
+        if gain < NEARER:
+            break
+        best, after = replace(more, evidence=best.evidence + gain), nearer
+    return best, after
 
 
 def _sized(best: Candidate, space: Workspace, after: Workspace) -> tuple[Candidate, Workspace]:
@@ -91,6 +152,11 @@ def _told(one: Candidate, after: Workspace) -> Candidate:
     more = one.again(after)
     cost = one.cost if more.cost is None else more.cost
     return replace(more, cost=cost, noise_after=one.noise_after)
+
+
+def _worth(one: Candidate, after: Workspace) -> float:
+    """Log posterior with a candidate, less what its values cost [nats]."""
+    return after.log_posterior() - (one.cost or 0.0)
 
 
 def _weight(field: Matrix, space: Workspace) -> float:

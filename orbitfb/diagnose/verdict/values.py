@@ -8,6 +8,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.random_laws import of_variance
+from orbitfb.diagnose.hypotheses.refit import summed
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.pieces import Piece
 from orbitfb.diagnose.likelihood.errors import variances
@@ -47,7 +48,7 @@ class Measured:
     def values(
         self, kind: EffectKind, part: Candidate, pieces: tuple[Piece, ...]
     ) -> dict[str, ParameterValue]:
-        """Tell the values of a cause; of the largest device, where some have their own.
+        """Tell the values of a cause: that its devices share, or of the largest one.
 
         Args:
             kind: The effect.
@@ -55,12 +56,13 @@ class Measured:
             pieces: Values of its devices; what is left of others is told in later parts.
         """
         spread = self._spread(kind, part)
-        told = dict(part.values) if part.scattered else _largest(kind, pieces)
+        shared = len(part.sources) == 1 and len(part.places) != 1
+        told = dict(part.values) if part.scattered or shared else _largest(kind, pieces)
         record = self.scorer.space.signals.record
         return {
             parameter.name: _told(
                 parameter, told[parameter.name], spread.get(parameter.name),
-                kind.meaning(parameter, told[parameter.name], record),
+                kind.meaning(parameter, told[parameter.name], record), part.cycles is not None,
             )
             for parameter in kind.parameters
             if parameter.name in told
@@ -88,22 +90,17 @@ class Measured:
 
         The freedom that they have from device to device is left out: it is what is asked for.
         """
-        fields: dict[str, Matrix] = {}
-        space, law = self.scorer.space, part.sources[0].law
+        space, source = self.scorer.space, part.sources[0]
         # Currents that have the cause already have nothing of it left.
         signals = replace(space.signals, currents=space.signals.record.setpoints)
-        for name, patterns, courses in part.sources[0].columns(kind, signals):
-            added = space.transform.spectrum(courses) @ patterns.T
-            fields[name] = fields[name] + added if name in fields else added
+        most = space.courses.largest(kind) if len(kind.sizes) > 1 else {}
+        columns = (*source.columns(kind, signals), *source.unset(kind, signals, most))
+        fields = summed(columns, space.transform)
         shares = tuple(
-            0.0 if block.accepted and block.law is law else share
+            0.0 if block.accepted and block.law is source.law else share
             for block, share in zip(space.blocks, space.shares, strict=True)
         )
-        found = dict(self._curved(fields, Weighed.of(replace(space, shares=shares))))
-        sizes = [parameter.name for parameter in kind.sizes]
-        for name in found.keys() & sizes:  # they have one factor
-            found.update(dict.fromkeys(sizes, found[name]))
-        return found
+        return self._curved(fields, Weighed.of(replace(space, shares=shares)))
 
     def _curved(self, fields: Mapping[str, Matrix], weighed: Weighed | None = None) -> Spread:
         """Of relative changes that add fields, all of them free at once.
@@ -226,9 +223,11 @@ def _largest(kind: EffectKind, pieces: tuple[Piece, ...]) -> dict[str, float]:
     return dict(max(pieces, key=lambda one: abs(one.values.get(name, 0.0))).values)
 
 
-def _told(parameter: Parameter, value: float, spread: float | None, meaning: str) -> ParameterValue:
+def _told(
+    parameter: Parameter, value: float, spread: float | None, meaning: str, wave: bool
+) -> ParameterValue:
     """A value with its interval, within the bounds of its parameter."""
-    least = 0.0 if parameter.unit == "Hz" else LEAST_SPREAD
+    least = 0.0 if wave and parameter.unit == "Hz" else LEAST_SPREAD
     reach = None
     if spread is not None and value != 0.0:  # a value of none was not sought
         reach = _NINETY * abs(value) * max(spread, least)

@@ -7,6 +7,7 @@ import pytest
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scan import candidates_of
+from orbitfb.diagnose.likelihood.corrected import heard, hearing
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.echoes import is_echo
 from orbitfb.diagnose.selection.rounds import tournament
@@ -87,6 +88,18 @@ def test_a_curve_is_heard_from_where_the_orbit_stood() -> None:
     assert abs(np.mean(heard - orbit[:, 7])) < 1e-6
 
 
+def test_what_one_bpm_adds_is_heard_there_as_if_all_were_predicted_anew() -> None:
+    record = make_record(12)
+    space = Workspace.of(record, kinds_for(record))
+    added = 1e-6 * np.random.default_rng(3).standard_normal((len(record), 1)).cumsum(axis=0)
+    whole = np.zeros_like(record.readings)
+    whole[:, [4]] = added
+    moved = (hearing(space, whole).signals.orbit - hearing(space, 0.0 * whole).signals.orbit)[:, 4]
+    orbit = heard(space, [4], added)
+    assert orbit[:, 4] - space.signals.orbit[:, 4] == pytest.approx(moved, abs=1e-15)
+    np.testing.assert_array_equal(np.delete(orbit, 4, 1), np.delete(space.signals.orbit, 4, 1))
+
+
 def test_readings_are_undone_once() -> None:
     """They are undone as they were read: what a law took off before would be there again."""
     polarity = Candidate(
@@ -99,18 +112,21 @@ def test_readings_are_undone_once() -> None:
 
 
 def test_a_curve_is_told_in_both_of_its_sizes() -> None:
-    """It bends to one side, and saturates: neither alone is nearly as likely."""
+    """It bends to one side, and saturates: neither alone is nearly as likely.
+
+    A gain error of 1 % that a healthy BPM may have is 3 % of its quadratic size.
+    """
     rng, layout = np.random.default_rng(7), make_record(11).layout
     setpoints = 0.3 * rng.standard_normal((ROWS, layout.response.shape[1]))
     kicks = (1e-3 * rng.standard_normal(setpoints.shape)).cumsum(axis=0)
     orbit = 60e-6 + (setpoints + kicks) @ layout.response.T
-    bent = orbit.copy()
-    bent[:, 7] += 3000.0 * orbit[:, 7] ** 2 - 2e7 * orbit[:, 7] ** 3
-    record = recorded(layout, setpoints, bent + NOISE * rng.standard_normal(orbit.shape))
+    bent = orbit + NOISE * rng.standard_normal(orbit.shape)
+    bent[:, 7] += 3000.0 * bent[:, 7] ** 2 - 2e7 * bent[:, 7] ** 3
+    record = recorded(layout, setpoints, bent)
     kinds = kinds_for(record)
 
     found = candidates_of(Workspace.of(record, kinds), [effect("bpm-nonlinearity")])
 
     best = next(one for one in found if one.kind.id == "bpm-nonlinearity" and one.places == (7,))
-    assert best.values["quadratic"] == pytest.approx(3000.0, rel=0.02)
-    assert best.values["cubic"] == pytest.approx(-2e7, rel=0.02)
+    assert best.values["quadratic"] == pytest.approx(3000.0, rel=0.03)
+    assert best.values["cubic"] == pytest.approx(-2e7, rel=0.03)

@@ -93,15 +93,28 @@ def test_a_line_is_told_until_it_is_settled(monkeypatch: pytest.MonkeyPatch) -> 
     """Its second telling, over the first floor without it, is not the last."""
     space, found = scanned(record_with(np.outer(5e-6 * np.sin(0.2 * np.arange(ROWS)), PATTERN), 23))
     line = next(one for one in found if one.kind.id == "periodic-disturbance")
-    tellings: list[int] = []
+    whole, tellings = np.asarray(line.field), [0.5]
 
     def told(one: Candidate, after: Workspace) -> Candidate:
-        tellings.append(len(tellings))
-        return replace(one, field=np.asarray(one.field) * (1.0 + 0.5 ** len(tellings)))
+        tellings.append(0.5 * (1.0 + tellings[-1]))
+        return replace(one, field=tellings[-1] * whole)
 
     monkeypatch.setattr(settled, "_told", told)
-    refitted([line], space)
-    assert len(tellings) > 1
+    refitted([replace(line, field=0.5 * whole)], space)
+    assert len(tellings) > 2
+
+
+def test_what_a_telling_makes_less_likely_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The floor that a cause leaves is no judge of what it has already."""
+    space, found = scanned(record_with(np.outer(5e-6 * np.sin(0.2 * np.arange(ROWS)), PATTERN), 23))
+    line = next(one for one in found if one.kind.id == "periodic-disturbance")
+
+    def told(one: Candidate, after: Workspace) -> Candidate:
+        return replace(one, field=3.0 * np.asarray(one.field))
+
+    monkeypatch.setattr(settled, "_told", told)
+    best = refitted([line], space).candidates[0]
+    assert np.array_equal(np.asarray(best.field), np.asarray(line.field))
 
 
 @pytest.mark.parametrize("coloured", [True, False])

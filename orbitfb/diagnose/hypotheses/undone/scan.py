@@ -1,39 +1,30 @@
-"""Readings that are undone: exchanged, or of the other sign, or bent so much that it counts.
+"""Readings that are undone without a choice of values: exchanged, or of the other sign.
 
-What they do is as large as the orbit itself. A floor that was estimated with them takes most of it
+What that does is as large as the orbit itself. A floor that was estimated with it takes most of it
 for a wandering of these BPMs and expects it, so that a scan over that floor finds them hardly. So
 each BPM is its own scale in every band: T frequencies whose mean square falls from v to v' when the
 readings are undone are worth −T/2 ln(v'/v) [nats]. For those that change in the middle of a record
 it is its own scale from step to step. A floor of their own will say about the same
-(`own_floors.refitted`). Where a law takes a large part of the readings, its size is told so, too.
+(`own_floors.refitted`).
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.ranking import within
-from orbitfb.diagnose.hypotheses.refit import Course, climbed, highest
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.effects.kinds import EffectKind, Values
-from orbitfb.effects.laws import DeviceLaw, PairLaw, Signals
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.laws import DeviceLaw, PairLaw
 from orbitfb.estimation.priors import (
-    FINENESS,
-    MORE,
     ONSET_MARGIN,
     ONSETS_EVERY,
-    SURE,
     VALUE_COST,
 )
 from orbitfb.estimation.transform import Indices, Matrix
-
-_REACH = (0.25, 2.0)
-"""Share of the size that follows in a straight line between which a bent one is sought [1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,90 +173,3 @@ def _worth(own: Vector, grown: Matrix, columns: Indices, count: int) -> Vector:
     before = own[columns]
     after = np.maximum(before + grown, 1e-300)
     return -0.5 * count * np.sum(np.log(after / np.maximum(before, 1e-300)), axis=1)
-
-
-def bent(
-    kind: EffectKind,
-    law: DeviceLaw,
-    scorer: Scorer,
-    source: Course,
-    size: float,
-    worth: float,
-    field: Single,
-) -> tuple[Course, float, float, Single]:
-    """A BPM that is undone, if its readings bend with the size: it, size, log likelihood and field.
-
-    A course is told of the orbit as it is read, in which the law is already: a curve that takes a
-    quarter off a reading looks as if it took a third. Of a law of several sizes all are sought.
-
-    Args:
-        kind: The effect.
-        law: Of BPMs, which is undone in their readings.
-        scorer: Of what is left to explain.
-        source: The BPM, with a size of one.
-        size: That it has if what it reads follows the size.
-        worth: Log likelihood of it over none.
-        field: What it adds with it, shape (T, n) [m].
-    """
-    signals, transform, chosen = scorer.space.signals, scorer.space.transform, list(source.places)
-    inside = ~signals.record.starts
-    heard = replace(signals, record=replace(signals.record, readings=signals.orbit))
-    own = (scorer.weights @ (scorer.modes[chosen] ** 2).T)[:, 0]
-    left = scorer.beside_others(kind.target)[:, chosen[0]] / own
-
-    def taken_off(its: Course, given: Signals) -> tuple[Matrix, float]:
-        ((_, change, widened),) = its.undone(kind, given)
-        return change, float(np.sum(widened[inside]))
-
-    def density(rest: Vector) -> float:
-        return -0.5 * len(rest) * float(np.log(np.mean(rest**2 * own)))
-
-    def sized(size: float) -> Course:
-        return replace(source, size=size * source.size)
-
-    def undone(its: Course) -> float:
-        change, widened = taken_off(its, signals)
-        return widened + density(left - transform.quick_spectrum(change)[:, 0])
-
-    if abs(undone(sized(size)) - density(left) - worth) < MORE:
-        return source, size, worth, field
-    share = highest(lambda share: undone(sized(share * size)), _REACH, FINENESS)
-    best = within(kind, source.values, share * size)
-
-    def told(its: Course) -> Single:
-        found = np.zeros_like(field)
-        found[:, chosen] = transform.quick_spectrum(taken_off(its, heard)[0])
-        return found
-
-    most = sized(best)
-    if len(kind.sizes) > 1:
-        most = _of_all_sizes(kind, most, scorer.space.courses.grid(kind), undone)
-    short = max(undone(most) - undone(sized(best)), 0.0)
-    if short > SURE:  # else one factor says nearly as much
-        source, best, short = most, 1.0, 0.0
-    # At least: beside errors that stand in for it, and by what the predicted orbit shows of it.
-    least = undone(most) - density(scorer.pulled[:, chosen[0]] / own)
-    return source, best, max(least, scorer.likelihood(told(most))) - short, told(sized(best))
-
-
-def _of_all_sizes(
-    kind: EffectKind, its: Course, grid: Sequence[Values], worth: Callable[[Course], float]
-) -> Course:
-    """A device whose sizes are each for itself where they explain most, near those of one factor.
-
-    Args:
-        kind: The effect.
-        its: The device, with its sizes so far.
-        grid: Values that are scanned, which say how large each size may be.
-        worth: What sizes explain [nats].
-    """
-    now = {one.name: float(its.size[0]) * its.values[one.name] for one in kind.sizes}
-    unit = {name: max(abs(values[name]) for values in grid) for name in now}
-    plain = replace(its, size=np.ones_like(its.size))
-
-    def at(shares: Vector) -> Course:
-        sizes = {name: float(x) * unit[name] for name, x in zip(now, shares, strict=True)}
-        return replace(plain, values={**its.values, **sizes})
-
-    begin = np.array([now[name] / unit[name] for name in now])
-    return at(climbed(lambda shares: worth(at(shares)), begin, 0.5 * float(np.max(np.abs(begin)))))
