@@ -33,10 +33,6 @@ from orbitfb.estimation.priors import (
 from orbitfb.estimation.transform import Indices, Matrix, StepTransform
 from orbitfb.records.layout import Devices
 
-_FIRST = 10
-"""Rows in which the orbit is known from its first readings alone. By hand: where it walks by half
-the noise of a reading, the filter's gain is 0.39, and so many rows leave 0.7 % of the first."""
-
 
 @dataclass(frozen=True, slots=True)
 class FreeCourse:
@@ -121,18 +117,11 @@ def exactly(one: FreeCourse, scorer: Weighed) -> tuple[FreeCourse, Matrix, float
 
 
 def _moving(target: str, signals: Signals) -> tuple[Matrix, Matrix]:
-    """Patterns of BPMs or correctors, shape (n, D) [m], and how they move, shape (N, D).
-
-    Where the orbit is known from its first readings alone it moves as their noise does, which is in
-    the first steps, too: powers of that would look like a law of all BPMs.
-    """
+    """Patterns of BPMs or correctors, shape (n, D) [m], and how they move, shape (N, D)."""
     layout = signals.record.layout
-    if target != "bpm":
-        return layout.response, signals.currents
-    orbit, starts = signals.orbit.copy(), np.flatnonzero(signals.record.starts)
-    for first, last in zip(starts, [*starts[1:], len(orbit)], strict=True):
-        orbit[first : first + _FIRST] = orbit[min(first + _FIRST, last - 1)]
-    return np.eye(len(layout.bpms)), orbit
+    if target == "bpm":
+        return np.eye(len(layout.bpms)), signals.orbit
+    return layout.response, signals.currents
 
 
 def _cells(devices: Devices) -> list[tuple[str, Indices]]:

@@ -1,6 +1,5 @@
 """What a workspace takes for known is corrected: the orbit, the currents, what was not read."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,23 +27,6 @@ def hearing(space: Workspace, added: Matrix) -> Workspace:
     orbit = predicted(residual, space.noise, space.transform) + modelled
     signals = replace(space.signals, orbit=orbit)
     return replace(space, signals=signals, courses=space.courses.hearing(signals))
-
-
-def heard(space: Workspace, columns: Sequence[int], added: Matrix) -> Matrix:
-    """The orbit that is predicted if some BPMs add something to their readings, at these alone.
-
-    Args:
-        space: Of the record.
-        columns: The BPMs, k of them.
-        added: What they add, shape (N, k) [m].
-
-    Returns:
-        Shape (N, n) [m]: as it is predicted, but for these BPMs.
-    """
-    orbit, every = space.signals.orbit.copy(), np.zeros_like(space.signals.orbit)
-    every[:, columns] = added
-    orbit[:, columns] -= predicted(every, space.noise, space.transform)[:, columns]
-    return orbit
 
 
 def driven(space: Workspace, currents: Matrix, kept: Mask) -> Workspace:

@@ -121,6 +121,20 @@ def test_the_prediction_is_the_conditional_mean_of_the_dense_covariance() -> Non
     assert found[5] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.parametrize("moved", [0.0, 50.0])
+def test_the_first_row_is_told_without_its_own_noise(moved: float) -> None:
+    """But where the orbit has moved since, as after a loop was closed, it is where it was read."""
+    rng = np.random.default_rng(11)
+    starts = np.arange(400) == 0
+    noise = StepNoise(0.01**2 * np.eye(30), np.eye(30))
+    orbit = 0.01 * rng.standard_normal((400, 30)).cumsum(axis=0)
+    orbit[0] += moved
+    readings = orbit + rng.standard_normal(orbit.shape)
+    found = predicted(readings, noise, StepTransform.of(starts))
+    wrong = float(np.sqrt(np.mean((found[0] - orbit[0]) ** 2)))
+    assert wrong < 0.3 if not moved else 0.7 < wrong < 1.3
+
+
 def test_the_floor_is_found_where_the_walk_is_small() -> None:
     """A walk a fifth of the noise: expectation maximisation alone stays thousands of nats off."""
     rng = np.random.default_rng(6)

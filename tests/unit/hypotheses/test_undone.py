@@ -7,7 +7,6 @@ import pytest
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scan import candidates_of
-from orbitfb.diagnose.likelihood.corrected import heard, hearing
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.echoes import is_echo
 from orbitfb.diagnose.selection.rounds import tournament
@@ -86,18 +85,6 @@ def test_a_curve_is_heard_from_where_the_orbit_stood() -> None:
     best = next(one for one in candidates_of(space, [kind]) if one.places == (7,))
     heard = replace(best, noise_after=True).accepted(space).signals.orbit[:, 7]
     assert abs(np.mean(heard - orbit[:, 7])) < 1e-6
-
-
-def test_what_one_bpm_adds_is_heard_there_as_if_all_were_predicted_anew() -> None:
-    record = make_record(12)
-    space = Workspace.of(record, kinds_for(record))
-    added = 1e-6 * np.random.default_rng(3).standard_normal((len(record), 1)).cumsum(axis=0)
-    whole = np.zeros_like(record.readings)
-    whole[:, [4]] = added
-    moved = (hearing(space, whole).signals.orbit - hearing(space, 0.0 * whole).signals.orbit)[:, 4]
-    orbit = heard(space, [4], added)
-    assert orbit[:, 4] - space.signals.orbit[:, 4] == pytest.approx(moved, abs=1e-15)
-    np.testing.assert_array_equal(np.delete(orbit, 4, 1), np.delete(space.signals.orbit, 4, 1))
 
 
 def test_readings_are_undone_once() -> None:

@@ -14,7 +14,7 @@ from orbitfb.diagnose.hypotheses.ranking import within
 from orbitfb.diagnose.hypotheses.refit import Course, climbed, highest
 from orbitfb.diagnose.hypotheses.row_sums import OwnError
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.likelihood.corrected import heard
+from orbitfb.diagnose.likelihood.corrected import hearing
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import Signals
@@ -44,11 +44,12 @@ def bent(kind: EffectKind, scorer: Scorer, source: Course) -> tuple[Course, floa
     else:
         share = highest(lambda share: undoing.worth(scaled(kind, source, share)), _REACH, FINENESS)
         best = scaled(kind, source, within(kind, source.values, share))
-    signals, transform, chosen = scorer.space.signals, scorer.space.transform, list(source.places)
-    ((_, change, _),) = best.undone(kind, signals)
-    signals = replace(signals, orbit=heard(scorer.space, chosen, change))
+    space, chosen = scorer.space, list(source.places)
+    added = np.zeros_like(space.signals.orbit)
+    ((_, added[:, chosen], _),) = best.undone(kind, space.signals)
+    (course,) = best.of(hearing(space, added).signals, best.values)
     field = np.zeros(scorer.pulled.shape, dtype=np.float32)
-    field[:, chosen] = transform.quick_spectrum(best.of(signals, best.values)[0])
+    field[:, chosen] = space.transform.quick_spectrum(course)
     # At least: beside errors that stand in for it, and by what the predicted orbit shows of it.
     least = undoing.worth(best) - undoing.density(scorer.pulled[:, chosen[0]])
     return best, max(least, scorer.likelihood(field)), field
