@@ -37,7 +37,7 @@ def settled(best: Candidate, space: Workspace, spread: bool = True) -> tuple[Can
     """
     if best.after is not None:  # it begins at the floor that it has already
         space = replace(over(space, best.after), trust=space.trust)
-        best = replace(_told(best, best.after), after=None)
+        best = replace(best, after=None)
     shared = spread and _is_shared(best)
     alike = not spread or shared
     after = best.accepted(space, not alike)
@@ -50,7 +50,7 @@ def settled(best: Candidate, space: Workspace, spread: bool = True) -> tuple[Can
             break
         little = moved < SETTLED**2 * _weight(best.field, after)
         nearer = more.accepted(replace(space, noise=after.noise), not alike)
-        if _worth(more, nearer) < _worth(best, after) + NEARER:
+        if nearer.log_posterior() < after.log_posterior() + NEARER:
             break
         best, after = more, nearer
         if little:
@@ -152,11 +152,6 @@ def _told(one: Candidate, after: Workspace) -> Candidate:
     more = one.again(after)
     cost = one.cost if more.cost is None else more.cost
     return replace(more, cost=cost, noise_after=one.noise_after)
-
-
-def _worth(one: Candidate, after: Workspace) -> float:
-    """Log posterior with a candidate, less what its values cost [nats]."""
-    return after.log_posterior() - (one.cost or 0.0)
 
 
 def _weight(field: Matrix, space: Workspace) -> float:
