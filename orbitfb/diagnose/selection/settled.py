@@ -50,8 +50,8 @@ def settled(best: Candidate, space: Workspace, spread: bool = True) -> tuple[Can
             break
         little = moved < SETTLED**2 * _weight(best.field, after)
         nearer = more.accepted(replace(space, noise=after.noise), not alike)
-        if nearer.log_posterior() < after.log_posterior() + NEARER:
-            break
+        if nearer.log_posterior() < after.log_posterior() - 2.0 * NEARER:
+            break  # a little less says nothing: floors take up what is left
         best, after = more, nearer
         if little:
             break
