@@ -24,8 +24,9 @@ def predicted(residual: Matrix, noise: StepNoise, transform: StepTransform) -> M
     A walk of covariance Q read with noise N, in the modes of `StepNoise`, where every mode is a
     filter of its own (R. Kalman, J. Basic Eng. 82 (1960) 35). Where the orbit stood in the first
     row of a stretch is told by rows that come some time later: its own reading would bring its
-    noise along, which is in the first step, too. A short stretch begins with its first reading, and
-    so does a mode that has moved since, as where a loop was just closed.
+    noise along, which is in the first step, too. So the first rows know a little of later ones. A
+    short stretch begins with its first reading, and so does a mode that has moved since, as where a
+    loop was just closed.
 
     Args:
         residual: Readings less what the model says, shape (N, n) [m].

@@ -113,7 +113,7 @@ def _of_courses(
     kind: EffectKind, sources: tuple[Course, ...], signals: Signals, transform: StepTransform
 ) -> Change:
     """Devices with courses of their own."""
-    field = np.sum([one.added(signals, transform) for one in sources], axis=0)
+    field = transform.spectrum(np.sum([one.added(signals) for one in sources], axis=0))
     free = summed((column for one in sources for column in one.columns(kind, signals)), transform)
     return Change(field, tuple(free.values()))
 

@@ -193,19 +193,13 @@ class Candidate:
 
         Where the orbit stood in the first row is known only from what they make of it there.
         """
-        for _ in range(HEARD):
-            space = hearing(space, self._sensed(space))
-        return space, space.transform.spectrum(self._sensed(space))
 
-    def _sensed(self, space: Workspace) -> Matrix:
-        """What its BPMs make of the orbit, shape (N, n) [m]."""
-        added = np.zeros_like(space.signals.orbit)
-        for one in self.sources:
-            chosen = list(one.places) if one.places else slice(None)
-            courses = one.of(space.signals, one.values)
-            for block, course in zip(one.law.patterns, courses, strict=True):
-                added += (course * one.size) @ block[:, chosen].T
-        return added
+        def sensed() -> Matrix:
+            return np.sum([one.added(space.signals) for one in self.sources], axis=0)
+
+        for _ in range(HEARD):
+            space = hearing(space, sensed())
+        return space, space.transform.spectrum(sensed())
 
     def describe(self) -> str:
         """Write it in a line, for logs and tests."""

@@ -17,16 +17,17 @@ from orbitfb.diagnose.hypotheses.ranking import (
     within,
     worths_of,
 )
-from orbitfb.diagnose.hypotheses.refit import Course, highest, highest_of
+from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import best_set
-from orbitfb.diagnose.hypotheses.undone.bent import bends, bent, scaled
+from orbitfb.diagnose.hypotheses.undone.bent import Undoing, scaled
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import best_size, given_size
+from orbitfb.estimation.maxima import highest, highest_of
 from orbitfb.estimation.priors import (
     FINENESS,
     GRID_REACH,
@@ -243,7 +244,8 @@ def evaluated(
     courses = source.of(scorer.space.signals, values)
     field = field_of(law, scorer, courses, places, source.size)
     pull, information = scorer.evaluate([field])
-    size, paid, undoes = 1.0, cost + choices(law, places), False
+    size, paid = 1.0, cost + choices(law, places)
+    undoing = None
     if onset:
         paid += float(np.log(scorer.space.transform.rows))
     if free:
@@ -251,27 +253,29 @@ def evaluated(
         gain, field = any_size_at(pull, information[0], size), size * field
         worth = float(pull[0] * size - 0.5 * information[0, 0] * size**2)
         paid += worth - gain
-        undoes = law.undone is not None and len(places) == 1 and gain > 0.0
+        if law.undone is not None and len(places) == 1 and gain > 0.0:
+            undoing = Undoing.of(kind, scorer, source)
     else:
         worth = float(given_size(pull, information[0])[0])
     names = tuple(law.names[place] for place in places)
     told = scaled(kind, source, size)
-    if undoes and bends(kind, scorer, told, worth):
+    if undoing is not None and undoing.bends(told, worth):
         found = Candidate(kind, places, names, told.values, 0.0, onset=onset, cost=paid)
-        return _undone(found, told, scorer)
+        return _undone(found, told, undoing)
     return Candidate(
         kind, places, names, told.values, worth - paid, onset=onset, field=field.astype(float),
         sources=(replace(source, size=size * source.size),), cost=paid,
     )  # fmt: skip
 
 
-def _undone(one: Candidate, source: Course, scorer: Scorer) -> Candidate:
+def _undone(one: Candidate, source: Course, undoing: Undoing) -> Candidate:
     """A BPM with the sizes that undo its readings, over any floor."""
 
     def again(after: Workspace) -> Candidate:
-        return _undone(one, best, Scorer.of(over(scorer.space, after)))
+        lower = Scorer.of(over(undoing.scorer.space, after))
+        return _undone(one, best, Undoing.of(one.kind, lower, best))
 
-    best, worth, field = bent(one.kind, scorer, source)
+    best, worth, field = undoing.best(source)
     return replace(
         one, values=best.values, evidence=worth - (one.cost or 0.0), field=field.astype(float),
         sources=(best,), again=again,

@@ -7,13 +7,13 @@ import numpy as np
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.noise.tails import scan_tails
-from orbitfb.diagnose.hypotheses.refit import nearby
 from orbitfb.diagnose.hypotheses.row_sums import Rows
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import EventLaw
+from orbitfb.estimation.maxima import nearby
 from orbitfb.estimation.priors import (
     KNOWN_TO,
     STRUCK_FINE,

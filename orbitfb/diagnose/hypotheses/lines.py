@@ -9,13 +9,13 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
 from orbitfb.diagnose.hypotheses.device_laws import choices
-from orbitfb.diagnose.hypotheses.refit import highest
 from orbitfb.diagnose.hypotheses.row_sums import Turned
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
+from orbitfb.estimation.maxima import highest
 from orbitfb.estimation.priors import (
     FINENESS,
     LINE_FINER,

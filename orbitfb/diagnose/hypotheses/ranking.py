@@ -95,7 +95,8 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
     alone = np.full((len(grid) + len(own), devices), -np.inf)
     together = np.full((len(grid), 2), -np.inf)  # of all devices, and of the best group
     shown = np.zeros(len(grid) + len(own))
-    groups, seen_late = list(law.groups.values()), sign if scales(kind) else part
+    groups = list(law.groups.values())
+    seen_late = sign if scales(kind) else sign_of_share
     for number, values in enumerate((*grid, *own)):
         spectra = scorer.space.courses.spectra(law, values)
         if not any(np.any(one) for one in spectra):
@@ -155,8 +156,11 @@ def sign(pull: Vector, information: Vector) -> Vector:
     return pull**2 / (2.0 * np.maximum(information, 1e-300))
 
 
-def part(pull: Vector, information: Vector) -> Vector:
-    """The same of terms that begin late: the whole record shows a share of their size, if any."""
+def sign_of_share(pull: Vector, information: Vector) -> Vector:
+    """Log likelihood ratio of terms of a given size that may begin late.
+
+    The whole record shows a share of their size, from nothing to all of it.
+    """
     share = np.clip(pull / np.maximum(information, 1e-300), 0.0, 1.0)
     return share * pull - 0.5 * share**2 * information
 

@@ -7,27 +7,19 @@ columns join the healthy errors: the scatter of δ is a variance component of it
 is tried later is weighed with all δ marginalised (a joint refit).
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
-from scipy.optimize import fminbound, minimize
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import FIRST_STATE, EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, Signals
-from orbitfb.estimation.priors import BEND, FINENESS, KNOWN_TO, OWN_REACH, SLOPE
+from orbitfb.estimation.priors import OWN_REACH, SLOPE
 from orbitfb.estimation.transform import Indices, Matrix, StepTransform
-
-_SIMPLEX = 0.2
-"""Change of each logarithm with which several values are sought at once."""
-_LOOKS = 80
-"""Values that are tried while they are, at most. By hand, for time: two values take about 40."""
-_NEARLY = 0.1
-"""Evidence to which the best of them is found [nats]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,12 +75,11 @@ class Course:
             found.append(part)
         return tuple(found)
 
-    def added(self, signals: Signals, transform: StepTransform) -> Matrix:
-        """What its devices add to the readings: spectrum of shape (T, n) [m]."""
+    def added(self, signals: Signals) -> Matrix:
+        """What its devices add to the readings, shape (N, n) [m]."""
         chosen, total = list(self.places) if self.places else slice(None), 0.0
         for block, course in zip(self.law.patterns, self.of(signals, self.values), strict=True):
-            wide = np.broadcast_to(course, (len(course), len(self.size))) * self.size
-            total = total + transform.spectrum(wide) @ block[:, chosen].T
+            total = total + (course * self.size) @ block[:, chosen].T
         return np.asarray(total)
 
     def _every(self, others: float, mine: Vector) -> Vector:
@@ -234,70 +225,3 @@ def step_of(sources: Sequence[Course], name: str, scorer: Scorer) -> tuple[Vecto
     step = np.linalg.solve(inner, left)
     step *= OWN_REACH / max(OWN_REACH, float(np.max(np.abs(step))))
     return step, float(step @ left - 0.5 * step @ inner @ step)
-
-
-def nearby(worth: Callable[[float], float], value: float, reach: float) -> tuple[float, float]:
-    """The best value near one of a grid, and its relative standard deviation by the curvature.
-
-    Args:
-        worth: Log likelihood of a value.
-        value: Of the grid.
-        reach: Factor by which the best one differs at most.
-    """
-    best = value * highest(lambda factor: worth(value * factor), (1.0 / reach, reach), FINENESS)
-    best = best if worth(best) > worth(value) else value
-    bent = (2.0 * worth(best) - worth(best * (1.0 + BEND)) - worth(best * (1.0 - BEND))) / BEND**2
-    return best, 1.0 / float(np.sqrt(max(bent, 0.0) + 1.0 / KNOWN_TO**2))
-
-
-def highest_of(
-    worth: Callable[[Values], float], begin: Values, bounds: Mapping[str, tuple[float, float]]
-) -> Values:
-    """Where a function of several values is highest near others, along their logarithms.
-
-    Args:
-        worth: The function.
-        begin: Values, all above zero.
-        bounds: Least and largest of each.
-    """
-
-    def values(logs: Vector) -> Values:
-        each = zip(begin, np.exp(logs).tolist(), strict=True)
-        return {name: min(max(one, bounds[name][0]), bounds[name][1]) for name, one in each}
-
-    logs = np.log(list(begin.values()))
-    return values(climbed(lambda at: worth(values(at)), logs, _SIMPLEX))
-
-
-def climbed(worth: Callable[[Vector], float], begin: Vector, step: float) -> Vector:
-    """Where a function of several numbers is highest near others.
-
-    J. A. Nelder, R. Mead, Comput. J. 7 (1965) 308.
-
-    Args:
-        worth: The function [nats].
-        begin: The numbers, shape (k,).
-        step: By which each is changed at first.
-    """
-    corners = np.vstack([begin, begin + step * np.eye(len(begin))])
-    options = {"initial_simplex": corners, "xatol": FINENESS, "fatol": _NEARLY, "maxfev": _LOOKS}
-    found = minimize(lambda at: -worth(at), begin, method="Nelder-Mead", options=options)
-    return np.asarray(found.x)
-
-
-def highest(worth: Callable[[float], float], ends: tuple[float, float], fine: float) -> float:
-    """Where a function is highest between two values, along their logarithm if they have one.
-
-    Args:
-        worth: The function.
-        ends: Between them.
-        fine: To which share of their distance.
-    """
-    bend, back = (np.log, np.exp) if ends[0] > 0.0 else (np.asarray, np.asarray)
-    span = float(bend(ends[0])), float(bend(ends[1]))
-
-    def loss(bent: float) -> float:
-        return -worth(float(back(bent)))
-
-    found = fminbound(loss, *span, xtol=fine * (span[1] - span[0]), full_output=False)
-    return float(back(float(np.asarray(found))))

@@ -160,7 +160,7 @@ def _summed(
         for name, patterns, courses in one.columns(kind, space.signals) if own else ():
             if name in own:
                 total += space.transform.spectrum(courses * own[name]) @ patterns.T
-        total += one.added(space.signals, space.transform)
+        total += space.transform.spectrum(one.added(space.signals))
     return total
 
 

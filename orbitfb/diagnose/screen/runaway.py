@@ -45,8 +45,8 @@ def without_runaway(record: Record) -> tuple[Record, list[Finding]]:
         return record, []
     text = (
         f"the loop runs away: from row {first} on the correctors move the orbit by more than "
-        f"{1e6 * float(away[first]):.3g} µm, rms of all BPMs; rows {first} to {len(away) - 1} are "
-        "left out, as errors of the model that are too small to matter before hide the cause there"
+        f"{1e6 * float(away[first]):.3g} µm (rms of all BPMs). Rows {first} to {len(away) - 1} are "
+        "left out: so far away, small errors of the model hide the cause"
     )
     finding = Finding("runaway", "warning", (), (first, len(away) - 1), text)
     return record.rows(0, first), [finding]

@@ -18,13 +18,14 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.device_laws import evaluated, highest
+from orbitfb.diagnose.hypotheses.device_laws import evaluated
 from orbitfb.diagnose.hypotheses.ranking import cost_of
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.levels import courses_of, likeliest, weighed
+from orbitfb.estimation.maxima import highest
 from orbitfb.estimation.priors import (
     FINENESS,
     FIRST_STATES,

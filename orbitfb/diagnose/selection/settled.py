@@ -25,10 +25,16 @@ hand."""
 _NEARLY = 0.1
 """Square of the standard deviations from its best value within which a variance is told: a
 third of one."""
+_MAY_COST = 1.0
+"""Evidence that telling sizes again may cost [nats]. By hand: floors take up what a size leaves, so
+that the readings are about as likely with either."""
 
 
 def settled(best: Candidate, space: Workspace, spread: bool = True) -> tuple[Candidate, Workspace]:
     """Accept a candidate, with the sizes that it has over the floor that it leaves.
+
+    Sizes are told again over that floor, as long as the readings do not get less likely. Values
+    that its devices share are told while they are alike; only then may they differ a little.
 
     Args:
         best: The candidate.
@@ -38,27 +44,43 @@ def settled(best: Candidate, space: Workspace, spread: bool = True) -> tuple[Can
     if best.after is not None:  # it begins at the floor that it has already
         space = replace(over(space, best.after), trust=space.trust)
         best = replace(best, after=None)
+    # Of one that is only weighed, half of what another cause could be named for is little.
+    least = NEARER if spread else 0.5 * SURE
     shared = spread and _is_shared(best)
-    alike = not spread or shared
-    after = best.accepted(space, not alike)
+    best, after = _told_again(best, space, spread and not shared, least)
+    if shared:
+        best, after = _with_shared_values(best, space, after)
+        after = best.accepted(replace(space, noise=after.noise))
+    return _sized(best, space, after) if spread else (best, after)
+
+
+def _told_again(
+    best: Candidate, space: Workspace, spread: bool, least: float
+) -> tuple[Candidate, Workspace]:
+    """Accept a candidate, and tell its sizes over the floor that it leaves, again and again.
+
+    Args:
+        best: The candidate.
+        space: Without it.
+        spread: Whether its values may differ a little from device to device.
+        least: Evidence of a change of its sizes below which they stay [nats].
+    """
+    after = best.accepted(space, spread)
     for _ in range(HEARD):
         if best.again is None or best.field is None:
             break
         more = _told(best, after)
         moved = _weight(np.asarray(more.field) - best.field, after)
-        if moved < (2.0 * NEARER if spread else SURE):
+        if moved < 2.0 * least:
             break
         little = moved < SETTLED**2 * _weight(best.field, after)
-        nearer = more.accepted(replace(space, noise=after.noise), not alike)
-        if nearer.log_posterior() < after.log_posterior() - 2.0 * NEARER:
-            break  # a little less says nothing: floors take up what is left
+        nearer = more.accepted(replace(space, noise=after.noise), spread)
+        if nearer.log_posterior() < after.log_posterior() - _MAY_COST:
+            break
         best, after = more, nearer
         if little:
             break
-    if shared:
-        best, after = _nearer(best, space, after)
-        after = best.accepted(replace(space, noise=after.noise))
-    return _sized(best, space, after) if spread else (best, after)
+    return best, after
 
 
 def _is_shared(best: Candidate) -> bool:
@@ -69,7 +91,9 @@ def _is_shared(best: Candidate) -> bool:
     return not source.elements and not source.own and source.first is None
 
 
-def _nearer(best: Candidate, space: Workspace, after: Workspace) -> tuple[Candidate, Workspace]:
+def _with_shared_values(
+    best: Candidate, space: Workspace, after: Workspace
+) -> tuple[Candidate, Workspace]:
     """Tell the values that its devices share over the floor that it leaves.
 
     By steps of Gauss and Newton, as long as they make the readings likelier.
@@ -99,8 +123,8 @@ def _nearer(best: Candidate, space: Workspace, after: Workspace) -> tuple[Candid
             told[name] *= factors[name]
         values = {name: factors.get(name, 1.0) * one for name, one in source.values.items()}
         moved = replace(source, values=values)
-        field = moved.added(signals, after.transform) - source.added(signals, after.transform)
-        field += np.asarray(best.field)  # which may have a first kick besides
+        change = after.transform.spectrum(moved.added(signals) - source.added(signals))
+        field = np.asarray(best.field) + change  # it may have a first kick besides
         grown = factors.get(best.kind.linear or "", 1.0)
         sizes = tuple(grown * one for one in best.sizes)
         more = replace(best, sources=(moved,), values=told, sizes=sizes, field=field)

@@ -81,7 +81,7 @@ def diagnose_files(
 
 
 def _usable(record: Record) -> tuple[Record, list[Found]]:
-    """A record without the readings that say nothing, and what was left out of it."""
+    """A record without the readings that would mislead, and what was left out of it."""
     near, runaway = without_runaway(record)
     plain, spikes = without_spikes(near)
     return plain, [*runaway, *spikes]

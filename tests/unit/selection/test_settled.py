@@ -24,8 +24,7 @@ TAU = -0.1 / np.log(0.5)
 
 def test_values_that_all_devices_share_are_told_over_the_floor_that_they_leave() -> None:
     record = make_record(43, currents=lagging(0.5))
-    kinds = kinds_for(record)
-    space, kind = Workspace.of(record, kinds), effect("corrector-lag")
+    space, kind = Workspace.of(record, kinds_for(record)), effect("corrector-lag")
     (law,) = kind.laws(space.signals)
     assert isinstance(law, DeviceLaw)
     wrong = {"tau": 1.3 * TAU, "second": 1e-6}
@@ -36,8 +35,7 @@ def test_values_that_all_devices_share_are_told_over_the_floor_that_they_leave()
     assert found.values["tau"] == pytest.approx(TAU, rel=0.01)
     assert found.sources[0].values == found.values
     assert found.evidence > one.evidence + 12.0
-    mean, rest = np.mean(after.residual**2), Workspace.of(record, kinds).residual
-    assert mean < 0.5 * np.mean(rest**2)
+    assert np.mean(after.residual**2) < 0.5 * np.mean(space.residual**2)
 
 
 def test_a_law_of_several_values_that_begins_late_is_found_at_those_that_are_its() -> None:

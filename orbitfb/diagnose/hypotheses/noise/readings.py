@@ -7,8 +7,8 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.refit import nearby
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.estimation.maxima import nearby
 from orbitfb.estimation.priors import MORE
 from orbitfb.estimation.transform import Matrix
 

@@ -9,9 +9,9 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.noise.readings import ReadingNoise, all_or_some
-from orbitfb.diagnose.hypotheses.refit import highest_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.estimation.maxima import highest_of
 from orbitfb.estimation.priors import BEND, KNOWN_TO, STRENGTHS, STRUCK_SHARES, VALUE_COST
 from orbitfb.estimation.transform import Matrix
 

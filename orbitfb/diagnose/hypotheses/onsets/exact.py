@@ -10,7 +10,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of
 from orbitfb.diagnose.hypotheses.jumps import of_jumps
 from orbitfb.diagnose.hypotheses.ranking import any_size, within
-from orbitfb.diagnose.hypotheses.refit import Course, based, highest
+from orbitfb.diagnose.hypotheses.refit import Course, based
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.terms import Single
@@ -18,6 +18,7 @@ from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
+from orbitfb.estimation.maxima import highest
 from orbitfb.estimation.priors import FINENESS, ONSETS_EVERY, SIZE_WIDTH, STANDING, UNTOLD
 from orbitfb.estimation.transform import Matrix
 

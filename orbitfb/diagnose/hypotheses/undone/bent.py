@@ -11,104 +11,54 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.ranking import within
-from orbitfb.diagnose.hypotheses.refit import Course, climbed, highest
+from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.row_sums import OwnError
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import hearing
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
-from orbitfb.effects.laws import Signals
+from orbitfb.estimation.maxima import climbed, highest
 from orbitfb.estimation.priors import FINENESS, MORE, VALUE_COST
-from orbitfb.estimation.transform import Matrix, StepTransform
+from orbitfb.estimation.transform import Matrix
 
 _REACH = (0.25, 2.0)
 """Share of the size that follows in a straight line between which a bent one is sought [1]."""
 
 
-def bent(kind: EffectKind, scorer: Scorer, source: Course) -> tuple[Course, float, Single]:
-    """A BPM with the size that undoes its readings best: it, log likelihood and field.
-
-    A course is told of the orbit as it is read, in which the law is already: a curve that takes a
-    quarter off a reading looks as if it took a third. Of several sizes it is the one that does
-    alone, unless all of them do better by what a value costs. What the BPM adds is told of the
-    orbit that is predicted from readings without it.
+@dataclass(frozen=True, slots=True, eq=False)
+class Undoing:
+    """What the readings of one BPM say once it is undone.
 
     Args:
         kind: An effect of BPMs that is undone in their readings.
         scorer: Of what is left to explain.
-        source: The BPM, with sizes near which the best are sought.
-    """
-    undoing = _Undoing.of(kind, scorer, source)
-    if len(kind.sizes) > 1:
-        best = _of_sizes(source, scorer.space.courses.largest(kind), undoing.worth)
-    else:
-        share = highest(lambda share: undoing.worth(scaled(kind, source, share)), _REACH, FINENESS)
-        best = scaled(kind, source, within(kind, source.values, share))
-    space, chosen = scorer.space, list(source.places)
-    added = np.zeros_like(space.signals.orbit)
-    ((_, added[:, chosen], _),) = best.undone(kind, space.signals)
-    (course,) = best.of(hearing(space, added).signals, best.values)
-    field = np.zeros(scorer.pulled.shape, dtype=np.float32)
-    field[:, chosen] = space.transform.quick_spectrum(course)
-    # At least: beside errors that stand in for it, and by what the predicted orbit shows of it.
-    least = undoing.worth(best) - undoing.density(scorer.pulled[:, chosen[0]])
-    return best, max(least, scorer.likelihood(field)), field
-
-
-def bends(kind: EffectKind, scorer: Scorer, source: Course, worth: float) -> bool:
-    """Whether undoing a BPM is worth another thing than what it makes of the predicted orbit.
-
-    Args:
-        kind: As for `bent`.
-        scorer: Of what is left to explain.
-        source: The BPM with its sizes.
-        worth: Log likelihood of what it makes of the orbit, over none.
-    """
-    undoing = _Undoing.of(kind, scorer, source)
-    return abs(undoing.worth(source) - undoing.density(undoing.left) - worth) >= MORE
-
-
-def scaled(kind: EffectKind, source: Course, size: float) -> Course:
-    """A device with its sizes times a factor."""
-    values = {one.name: size * source.values[one.name] for one in kind.sizes}
-    return replace(source, values={**source.values, **values})
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Undoing:
-    """What the readings of one BPM say once it is undone.
-
-    Args:
-        kind: The effect.
-        signals: On which it acts.
-        transform: Of the record.
         precise: Precision of the BPM at every frequency, shape (T,) [1/m²].
         left: Ω z of what errors of other devices leave of it, shape (T,) [1/m].
         error: Its own healthy error; None: it has none.
     """
 
     kind: EffectKind
-    signals: Signals
-    transform: StepTransform
+    scorer: Scorer
     precise: Single
     left: Matrix
     error: OwnError | None
 
     @classmethod
-    def of(cls, kind: EffectKind, scorer: Scorer, source: Course) -> "_Undoing":
+    def of(cls, kind: EffectKind, scorer: Scorer, source: Course) -> "Undoing":
         """Lay out a BPM."""
-        space, chosen = scorer.space, np.array(source.places)
+        chosen = np.array(source.places)
         return cls(
-            kind, space.signals, space.transform,
+            kind, scorer,
             (scorer.weights @ (scorer.modes[chosen] ** 2).T)[:, 0],
             scorer.beside_others(kind.target)[:, chosen[0]], scorer.own_error(kind, chosen),
         )  # fmt: skip
 
     def worth(self, source: Course) -> float:
         """Log likelihood of its readings, undone."""
-        ((_, change, widened),) = source.undone(self.kind, self.signals)
-        added = self.transform.quick_spectrum(change)[:, 0]
-        inside = ~self.signals.record.starts
+        space = self.scorer.space
+        ((_, change, widened),) = source.undone(self.kind, space.signals)
+        added = space.transform.quick_spectrum(change)[:, 0]
+        inside = ~space.signals.record.starts
         return float(np.sum(widened[inside])) + self.density(self.left - self.precise * added)
 
     def density(self, pulled: Vector) -> float:
@@ -119,6 +69,47 @@ class _Undoing:
             known = square / self.error.variance[0] + float(self.precise @ own**2)
             square -= float(own @ pulled) ** 2 / (known * len(pulled))
         return -0.5 * len(pulled) * float(np.log(square))
+
+    def bends(self, source: Course, worth: float) -> bool:
+        """Whether undoing the BPM is worth another thing than what it makes of the predicted orbit.
+
+        Args:
+            source: The BPM with its sizes.
+            worth: Log likelihood of what it makes of the orbit, over none.
+        """
+        return abs(self.worth(source) - self.density(self.left) - worth) >= MORE
+
+    def best(self, source: Course) -> tuple[Course, float, Single]:
+        """The BPM with the size that undoes its readings best: it, log likelihood and field.
+
+        A course is told of the orbit as it is read, in which the law is already: a curve that takes
+        a quarter off a reading looks as if it took a third. Of several sizes it is the one that
+        does alone, unless all of them do better by what a value costs. What the BPM adds is told of
+        the orbit that is predicted from readings without it.
+
+        Args:
+            source: The BPM, with sizes near which the best are sought.
+        """
+        kind, scorer, space, chosen = self.kind, self.scorer, self.scorer.space, list(source.places)
+        if len(kind.sizes) > 1:
+            best = _of_sizes(source, space.courses.largest(kind), self.worth)
+        else:
+            share = highest(lambda share: self.worth(scaled(kind, source, share)), _REACH, FINENESS)
+            best = scaled(kind, source, within(kind, source.values, share))
+        added = np.zeros_like(space.signals.orbit)
+        ((_, added[:, chosen], _),) = best.undone(kind, space.signals)
+        (course,) = best.of(hearing(space, added).signals, best.values)
+        field = np.zeros(scorer.pulled.shape, dtype=np.float32)
+        field[:, chosen] = space.transform.quick_spectrum(course)
+        # At least: beside errors that stand in for it, and by what the predicted orbit shows of it.
+        least = self.worth(best) - self.density(scorer.pulled[:, chosen[0]])
+        return best, max(least, scorer.likelihood(field)), field
+
+
+def scaled(kind: EffectKind, source: Course, size: float) -> Course:
+    """A device with its sizes times a factor."""
+    values = {one.name: size * source.values[one.name] for one in kind.sizes}
+    return replace(source, values={**source.values, **values})
 
 
 def _of_sizes(its: Course, unit: Values, worth: Callable[[Course], float]) -> Course:
