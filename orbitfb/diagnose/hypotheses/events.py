@@ -24,6 +24,10 @@ from orbitfb.estimation.priors import (
 from orbitfb.estimation.runs import evidence_of_runs, likeliest_runs
 from orbitfb.estimation.transform import Indices, Matrix
 
+_ONE_SIDED = float(np.sqrt(3.0))
+"""Largest mean over the standard deviation of what is only early, and the less often the more [1]:
+that of a uniform distribution that begins at zero."""
+
 
 def scan_events(kind: EffectKind, law: EventLaw, scorer: Scorer) -> list[Candidate]:
     """Find what is struck, and how often or how strongly."""
@@ -55,15 +59,10 @@ def _told(
     """
     members = law.parts[name] if name else np.arange(strikes.moves.shape[1])
     if law.often:
-        pull, information = strikes.rows(members)
-        _, values, strength, chosen = _jitter(kind, scorer, pull, information)
-        field = _field(scorer, strikes.shapes(members), strength)
-        seen = information / (information + 1.0 / max(*values.values(), 1e-300) ** 2)
-        counted = 2.0 * float(np.sum(seen**2))
+        values, field, chosen, deviations = _about_mean(kind, scorer, strikes, members)
     else:
         values, field, chosen, struck = _in_runs(kind, scorer, strikes, members)
-        counted = float(struck)
-    deviations = {kind.parameters[0].name: 1.0 / float(np.sqrt(counted + 1.0 / KNOWN_TO**2))}
+        deviations = {kind.parameters[0].name: 1.0 / float(np.sqrt(struck + 1.0 / KNOWN_TO**2))}
     cost = chosen + float(np.log(1 + len(law.parts))) + VALUE_COST
 
     def again(after: Workspace) -> Candidate:
@@ -217,10 +216,53 @@ def _in_runs(
     return values, field, float(cost + max(chance.max(), 0.0)), int(struck)
 
 
+def _about_mean(
+    kind: EffectKind, scorer: Scorer, strikes: _Strikes, members: Indices
+) -> tuple[dict[str, float], Matrix, float, dict[str, float]]:
+    """A normal strength at every row, about a mean: values, what they add, cost, deviations.
+
+    The mean is of the size of the scatter: what is early by chance is early on average, unless it
+    is late as often. With a larger one it is a delay.
+
+    Args:
+        kind: The effect; its parameters are the rms of the strength and its mean.
+        scorer: Of what is left to explain.
+        strikes: Of all devices.
+        members: Devices that are struck together.
+    """
+    rms, mean = (one.name for one in kind.parameters)
+    pull, information = strikes.rows(members)
+    _, spread, strength, cost = _jitter(kind, scorer, pull, information)
+    always = _field(scorer, strikes.shapes(members), np.ones(len(pull)))
+    along, known = (float(one.item()) for one in scorer.evaluate([always]))
+    # Scatter hides the mean, too: more, where few rows say most of it.
+    counts = information / max(float(np.sum(information)), 1e-300)
+    share = 1.0 / (1.0 + known * spread**2 * float(np.sum(counts**2)))
+    grown = 1.0 + share * known * spread**2
+    size, doubt = share * along * spread**2 / grown, spread / float(np.sqrt(grown))
+    pull, _ = strikes.less(size * always, scorer).rows(members)
+    _, rest, beside, more = _jitter(kind, scorer, pull, information)
+    if abs(size) > _ONE_SIDED * rest:
+        size = 0.0
+    else:
+        chosen = 0.5 * float(np.log(grown)) + 0.5 * size**2 / max(spread, 1e-300) ** 2
+        spread, strength, cost = rest, beside, more + chosen
+    field = size * always + _field(scorer, strikes.shapes(members), strength)
+    seen = information / (information + 1.0 / max(spread, 1e-300) ** 2)
+    about = spread**2 / float(np.sqrt(2.0 * np.sum(seen**2) + 1.0 / KNOWN_TO**2))
+    whole = float(np.hypot(spread, size))
+    deviations = {}
+    if whole:
+        deviations[rms] = float(np.hypot(about, size * doubt)) / whole**2
+    if size:
+        deviations[mean] = doubt / abs(size)
+    return {rms: whole, mean: size}, field, cost, deviations
+
+
 def _jitter(
     kind: EffectKind, scorer: Scorer, pull: Vector, information: Vector
-) -> tuple[float, dict[str, float], Vector, float]:
-    """A normal strength at every row: evidence, values, strength by step, and its cost [nats]."""
+) -> tuple[float, float, Vector, float]:
+    """A normal strength at every row: evidence, its rms, strength by step, and its cost [nats]."""
 
     def worth(rms: float) -> float:
         grown = 1.0 + information * rms**2
@@ -232,7 +274,7 @@ def _jitter(
     strength = pull * variance / (1.0 + information * variance)
     apart = strength**2 / variance if variance else np.zeros_like(strength)
     cost = 0.5 * float(np.sum(apart + np.log1p(information * variance)))
-    return best, {kind.parameters[0].name: float(np.sqrt(variance))}, strength, cost
+    return best, rms, strength, cost
 
 
 def _field(scorer: Scorer, shapes: Matrix, strength: Vector) -> Matrix:

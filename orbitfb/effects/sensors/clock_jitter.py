@@ -16,7 +16,8 @@ from orbitfb.records.record import Record
 class ClockJitter(LatentKind):
     """y_n = x(t_n + δ_n), δ normal and new at every tick, one for all BPMs or for those of a crate.
 
-    Crates have triggers of their own.
+    Crates have triggers of their own. If the orbit stands still after it moved, only an early
+    sample is wrong, and δ has a mean.
     """
 
     id = "clock-jitter"
@@ -24,8 +25,16 @@ class ClockJitter(LatentKind):
     target = "bpm"
     strength = "normal"
     parameters = (
-        Parameter("rms", "s", 0.0, 10.0, 0.0, 0.01, "Rms error of the sampling time.", log=True),
-    )
+        Parameter(
+            "rms", "s", 0.0, 10.0, 0.0, 0.01, "Rms error of the sampling time, its mean included.",
+            log=True,
+        ),
+        Parameter(
+            "mean", "s", -10.0, 10.0, 0.0, 0.0,
+            "Mean error, negative where samples are early; the rest of the rms is random.",
+            optional=True,
+        ),
+    )  # fmt: skip
     title = "jitter of the time of sampling"
     sentence = (
         "The BPMs sample the orbit a little early or late, by another amount at every tick. While "
@@ -43,7 +52,7 @@ class ClockJitter(LatentKind):
         """From a thousandth of a tick to three ticks."""
         period, high = record.layout.period, self.parameters[0].high
         shares = np.geomspace(1e-3, 3.0, 8)
-        return tuple({"rms": min(float(share) * period, high)} for share in shares)
+        return tuple({"rms": min(float(one) * period, high), "mean": 0.0} for one in shares)
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
@@ -51,7 +60,9 @@ class ClockJitter(LatentKind):
         """Shift the samples; it must come after all effects that disturb the orbit."""
         struck = np.zeros(len(layout.bpms))
         struck[places if len(places) else slice(None)] = 1.0
-        return _Jitter(values["rms"] / layout.period * struck, rng)
+        mean = values.get("mean", 0.0)
+        spread = np.sqrt(max(values["rms"] ** 2 - mean**2, 0.0))
+        return _Jitter(spread / layout.period, mean / layout.period, struck, rng)
 
     def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
         """Slope of the orbit that the correctors make [m/s]; zero at the beginning of a stretch.
@@ -66,12 +77,16 @@ class _Jitter(Effect):
     """Readings shifted along the motion of the true orbit.
 
     Args:
-        share: Rms of the shift of every BPM in periods, shape (n,).
+        spread: Standard deviation of the shift [periods].
+        mean: Of the shift [periods].
+        struck: 1 at BPMs that it shifts, else 0, shape (n,).
         rng: Random numbers.
     """
 
-    def __init__(self, share: Vector, rng: np.random.Generator) -> None:
-        self._share, self._rng = share, rng
+    def __init__(
+        self, spread: float, mean: float, struck: Vector, rng: np.random.Generator
+    ) -> None:
+        self._spread, self._mean, self._struck, self._rng = spread, mean, struck, rng
         self._last: Vector | None = None
         self._step: Vector = np.zeros(0)
 
@@ -83,4 +98,5 @@ class _Jitter(Effect):
 
     def sense(self, orbit: Vector, tick: int) -> Vector:
         """Shift the sample."""
-        return orbit + self._share * self._rng.standard_normal() * self._step
+        shift = self._mean + self._spread * self._rng.standard_normal()
+        return orbit + shift * self._struck * self._step

@@ -322,6 +322,9 @@ def test_jitter_moves_readings_along_the_slope_of_the_orbit(layout):
     assert_allclose(change[1:], delay[:, None] * slope[1:], rtol=0, atol=1e-12)
     assert np.std(delay) == pytest.approx(0.02, rel=4 / np.sqrt(2 * 3000))
     assert_array_equal(slope[0], np.zeros_like(orbit[0]))
+    values = {"rms": 0.02, "mean": -0.016}  # early: the rest of the rms is 0.012
+    early = run(kind, layout, np.zeros(0, dtype=int), values, orbit) - orbit
+    assert_allclose(early[1:], (0.6 * delay - 0.016)[:, None] * slope[1:], rtol=0, atol=1e-12)
     crate = run(kind, layout, PLACES, {"rms": 0.02}, orbit) - orbit
     assert_array_equal(crate[:, PLACES], change[:, PLACES])  # with a trigger of its own
     assert_array_equal(np.delete(crate, PLACES, axis=1), 0.0)

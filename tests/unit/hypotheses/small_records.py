@@ -82,6 +82,18 @@ def make_record(
     return recorded(layout, setpoints, readings)
 
 
+def early(seed: int, share: float) -> Record:
+    """A loop whose readings are a little early in half of the rows: the orbit is on its way."""
+    rng = np.random.default_rng(seed)
+
+    def step(state: Vector, row: Vector) -> Vector:
+        before.append(row)
+        return row - max(share * rng.standard_normal(), 0.0) * (row - before[-2])
+
+    before: list[Vector] = [np.zeros(CORRECTORS)]
+    return make_record(11, remembered(step))
+
+
 def kinds_for(record: Record) -> list[EffectKind]:
     return [kind for kind in all_effects().values() if not kind.unavailable(record)]
 

@@ -19,6 +19,7 @@ from tests.unit.hypotheses.small_records import (
     CORRECTORS,
     NOISE,
     ROWS,
+    early,
     kinds_for,
     make_record,
     recorded,
@@ -119,6 +120,41 @@ def test_strikes_that_are_found_are_no_chance() -> None:
     assert one.names == ("C1",)
     assert one.cost is not None
     assert one.cost < 1.2 * choice
+
+
+def test_what_is_early_by_chance_is_early_on_average() -> None:
+    """A delay beside the jitter would be the mean of the same samples."""
+    share, period = 0.15, 0.1
+    record = early(8, share)
+    kinds = kinds_for(record)
+    space = Workspace.of(record, kinds)
+    (one,) = candidates_of(space, [kind for kind in kinds if kind.id == "clock-jitter"])[:1]
+
+    told, after = settled(one, space, spread=False)
+
+    assert told.values["rms"] == pytest.approx(share * period / np.sqrt(2.0), rel=0.1)
+    mean = -share * period / np.sqrt(2.0 * np.pi)
+    assert told.values["mean"] == pytest.approx(mean, abs=3.0 * told.deviations["mean"] * -mean)
+    assert told.deviations["mean"] < 0.2
+    late = [kind for kind in kinds if kind.id in ("loop-delay", "corrector-lag")]
+    assert not [one for one in candidates_of(after, late) if one.evidence > 0.0]
+
+
+def test_what_is_always_late_is_no_jitter() -> None:
+    """A mean beyond what samples that are only early can have is a delay."""
+    before: list[Vector] = [np.zeros(CORRECTORS)]
+
+    def step(state: Vector, row: Vector) -> Vector:
+        before.append(row)
+        return row - 0.15 * (row - before[-2])
+
+    record = make_record(11, remembered(step))
+    kinds = kinds_for(record)
+    space = Workspace.of(record, kinds)
+    some = [kind for kind in kinds if kind.id in ("clock-jitter", "loop-delay")]
+    found = {one.kind.id: one for one in reversed(candidates_of(space, some))}
+    assert found["clock-jitter"].values["mean"] == 0.0
+    assert found["loop-delay"].evidence > 1.5 * found["clock-jitter"].evidence
 
 
 def test_tails_that_do_not_show_are_known_no_better_than_before() -> None:
