@@ -39,8 +39,8 @@ class FreeCourse:
     """What a free course of devices explains.
 
     Args:
-        target: `bpm`, `corrector`, `noise` for the level of a BPM's noise, or `source` for a place
-            that kicks.
+        target: `bpm`, `corrector`, `noise` for the level of a BPM's noise, `source` for a place
+            that kicks, or `varying` for a cause that comes and goes.
         names: Of the devices that follow it alike; empty: all of them.
         evidence: Log evidence less the choice of devices and width [nats].
         cell: That they are, if several and not all are.
@@ -58,7 +58,7 @@ class FreeCourse:
     @property
     def of_all(self) -> bool:
         """Whether all devices follow it alike: then several causes may be at work."""
-        return not self.names and self.target != "noise"
+        return not self.names and self.target in ("bpm", "corrector")
 
 
 def scan_free(scorer: Scorer) -> list[FreeCourse]:
@@ -110,7 +110,7 @@ def exactly(one: FreeCourse, scorer: Weighed) -> tuple[FreeCourse, Matrix, float
     basis = _basis(motion[:, places], transform)
     fields = [transform.quick_spectrum(course) @ seen for course in basis]
     pull, information = scorer.evaluate(fields)
-    _, sizes, less = _evidence(pull[None], information[None])
+    _, sizes, less = evidence_of_sizes(pull[None], information[None])
     field = np.tensordot(sizes[0], np.stack(fields), axes=1)
     cost = one.cost + float(less[0])
     return replace(one, evidence=scorer.likelihood(field) - cost), field, cost
@@ -185,10 +185,10 @@ def _worth(
         for number, one in enumerate(cells, len(own)):
             weighed = np.tensordot(precision[np.ix_(one, one)], part[one], axes=1)
             information[number] += np.einsum("dkf,dlf->kl", weighed, part[one], optimize=True)
-    return _evidence(pull, information)[0]
+    return evidence_of_sizes(pull, information)[0]
 
 
-def _evidence(pull: Vector, information: Matrix) -> tuple[Vector, Matrix, Vector]:
+def evidence_of_sizes(pull: Vector, information: Matrix) -> tuple[Vector, Matrix, Vector]:
     """Log evidence of sizes with the best of some widths.
 
     Args:

@@ -1,9 +1,11 @@
 """The search for causes: over ground that may be uneven, and over even ground."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.constancy import varying
 from orbitfb.diagnose.selection.rounds import Round, tournament
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.priors import SURE
@@ -26,8 +28,19 @@ def search(
         tell: Is told the effect that is tried, and what it takes.
 
     Returns:
-        The accepted candidates in order, and all rounds, as `tournament` does.
+        The accepted candidates in order, and all rounds, as `tournament` does. What is unknown in
+        the last one may be that a cause comes and goes.
     """
+    accepted, rounds = _over_either(space, kinds, tell)
+    last = rounds[-1]
+    free = sorted([*last.free, *varying(accepted, last.space)], key=lambda one: -one.evidence)
+    return accepted, [*rounds[:-1], replace(last, free=tuple(free))]
+
+
+def _over_either(
+    space: Workspace, kinds: Sequence[EffectKind], tell: Callable[[str], None]
+) -> tuple[list[Candidate], list[Round]]:
+    """Search over ground that may be uneven, and then over even ground."""
     accepted, rounds = tournament(space, kinds, tell)
     if accepted or rounds[-1].unknown or space.reference is not None:
         return accepted, rounds

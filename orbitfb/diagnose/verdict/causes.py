@@ -17,6 +17,7 @@ from orbitfb.diagnose.result.blocks import (
     Unknown,
     WaterfallStep,
 )
+from orbitfb.diagnose.result.headline import RING
 from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.result.parts import Cause, PlaceValues
 from orbitfb.diagnose.selection.rounds import Round
@@ -90,8 +91,14 @@ def cause_of(
 def struck_by(one: Named, space: Workspace) -> tuple[frozenset[str], int]:
     """Names of the devices that a cause strikes, and how many there are of their kind.
 
-    No names: all of them, or the ring. Places between the devices are about as many as the BPMs.
+    Places between the devices are about as many as the BPMs. What strikes all of its kind strikes
+    the ring, of which there is one. Errors of every size at all devices have no names: no model is
+    without them.
     """
+    if one.parts[0].scattered:
+        return frozenset(), 0
+    if not one.names:
+        return frozenset({RING}), 1
     layout = space.signals.record.layout
     kind = layout.correctors if one.kind.target == "corrector" else layout.bpms
     return frozenset(_devices(one.names, _members(one, space))), len(kind)
@@ -199,6 +206,12 @@ def unknown_of(
             f"The noise of {where} grows or shrinks with how far or how fast the beam moves there, "
             "by a law that is not in the library."
         )
+    elif verdict.left and verdict.left[0].target == "varying":
+        where = f" at {listed(verdict.left[0].names[:_NAMED])}" if verdict.left[0].names else ""
+        text = (
+            f"What was named{where} is not the same all the time: it comes and goes, or it is "
+            "another law."
+        )
     elif verdict.left and verdict.left[0].target == "source":
         text = (
             f"{what} is like kicks at {verdict.left[0].names[0]}, whose course in time is not in "
@@ -212,10 +225,12 @@ def unknown_of(
             where = f"the {device}s of {first.cell}" if first.cell else f"{device} {first.names[0]}"
         text = f"{what} follows the motion of {where}, by a law that is not in the library."
     elif verdict.shared:
-        places = verdict.shared[:_WHERE]
+        ring = verdict.shared == (RING,)
+        places = () if ring else verdict.shared[:_WHERE]
         text = (
-            "Two effects at the very same devices would be a coincidence. One effect that looks "
-            "like both, and is not in the library, is more likely."
+            f"Two effects {'of the whole ring' if ring else 'at the very same devices'} would be a "
+            "coincidence. One effect that looks like both, and is not in the library, is more "
+            "likely."
         )
     elif verdict.state == "named_plus_remainder":
         text = "One effect that is not in the library may make all of it, rest and causes."

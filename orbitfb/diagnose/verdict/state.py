@@ -90,8 +90,8 @@ def beside_each_other(verdict: Judged, struck: Sequence[tuple[frozenset[str], in
 
     Args:
         verdict: By what was found.
-        struck: Names of the devices of every cause, none where it strikes all of them or the ring,
-            and how many there are of their kind.
+        struck: Names of the devices of every cause, none where they say nothing, and how many there
+            are of their kind.
     """
     if verdict.state != "named":
         return verdict

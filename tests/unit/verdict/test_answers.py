@@ -9,6 +9,7 @@ import pytest
 from benchmarks.blind import many
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.result.diagnosis import Diagnosis
+from orbitfb.diagnose.result.headline import RING
 from orbitfb.diagnose.result.parts import Shrink
 from orbitfb.diagnose.verdict.causes import unknown_of
 from orbitfb.diagnose.verdict.engine import diagnose
@@ -335,3 +336,14 @@ def test_two_effects_at_the_very_same_devices_are_rather_one_of_no_library() -> 
     assert told is not None
     assert told.places == found.shared
     assert "coincidence" in told.text
+
+
+def test_two_effects_of_the_whole_ring_are_rather_one_of_no_library() -> None:
+    ring, named = (frozenset({RING}), 1), Judged("named", (), 0.0)
+    assert beside_each_other(named, [ring]) is named
+    found = beside_each_other(named, [ring, ring])
+    assert (found.state, found.explained) == ("named_plus_remainder", 0.5)
+    told = unknown_of(found, ())
+    assert told is not None
+    assert told.places == ()
+    assert "of the whole ring" in told.text
