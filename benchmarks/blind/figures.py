@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind.judging import Judged
+from benchmarks.blind.judging import RECOGNISED, Judged
+from orbitfb.estimation.priors import REMAINDER
 
 BINS = 10
 """Of the reliability curve, each 0.1 of probability."""
 _CONFIDENCE = 1.96
 """Standard deviations of a 95 % interval."""
+_NINETY = 1.645
+"""Of a 90 % interval."""
 _SHRUNK, _MOST_OPEN = 0.9, 0.7
 """A shrink of 0.9 is wrong where the name is, or where less than 0.7 was there to be removed."""
 
@@ -110,6 +113,37 @@ def calibration(judged: Sequence[Judged]) -> tuple[float, list[dict[str, Any]]]:
     return (error if given else math.nan), curve
 
 
+def hidden(foreign: Sequence[Judged]) -> Figure:
+    """Tell how much an effect of no library leaves beside the likest one, before anything shows it.
+
+    If it has any share in common with that one, a rest R stays hidden beside E nats with the
+    probability R / (E + R), as `orbitfb.diagnose.impact.named.listed_chance` has it.
+
+    Args:
+        foreign: Answers to effects of no library. Those that find nothing at all say nothing of
+            it, nor do those that name a next of kin.
+
+    Returns:
+        The likeliest R, less its share of E, with its 90 % interval by likelihood [nats].
+    """
+    told = [
+        (one.best, one.state not in RECOGNISED)
+        for one in foreign
+        if one.best > 0.0 and (one.state in RECOGNISED or (one.named and not one.right))
+    ]
+    name = "in no library: rest that stays hidden [nats]"
+    if not told:
+        return Figure(name, math.nan, math.nan, math.nan, 0)
+    evidence, unseen = (np.array(values) for values in zip(*told, strict=True))
+    rest = np.geomspace(1.0, 1e4, 401)
+    chance = rest[:, None] + REMAINDER * evidence
+    chance = chance / (evidence + chance)
+    likely = np.where(unseen, np.log(chance), np.log1p(-chance)).sum(axis=1)
+    within = rest[likely > likely.max() - 0.5 * _NINETY**2]
+    best = float(rest[np.argmax(likely)])
+    return Figure(name, best, float(within.min()), float(within.max()), len(told))
+
+
 def _name_right(one: Judged) -> bool:
     """Whether the first name is right; saying "something else, too" makes no name right."""
     if one.truth.kind == "none":
@@ -170,6 +204,7 @@ def figures(judged: Sequence[Judged]) -> list[Figure]:
         rate(
             "in no library: confidently misnamed", (j.misnamed for j in kinds["foreign"]), "≤ 0.05"
         ),
+        hidden(kinds["foreign"]),
         rate("pairs, both", (one.right for one in kinds["pair"]), "≥ 0.63"),
         rate("pairs, at least one", (one.one for one in kinds["pair"]), "1"),
         rate("no answer", (one.state == "crash" for one in judged), "0"),

@@ -8,7 +8,7 @@ import numpy as np
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.selection.rounds import Round
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.estimation.priors import MISFIT, RIVAL
+from orbitfb.estimation.priors import HIDDEN, MISFIT, REMAINDER, RIVAL, UNLISTED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,13 +58,25 @@ def named(accepted: Sequence[Candidate], rounds: Sequence[Round]) -> list[Named]
             for name, chance in sorted(chances.items(), key=lambda two: -two[1])
             if name not in (first.kind.id, "") and chance > RIVAL
         ]
+        candidates = tuple(one for one, _ in parts)
         within = sum(chances[name] for name in (first.kind.id, *rivals))
-        causes.append(
-            Named(
-                first.kind, tuple(one for one, _ in parts), its, within, tuple(rivals), chances
-            )
-        )  # fmt: skip
+        within *= listed_chance(sum(one.evidence for one in candidates))
+        causes.append(Named(first.kind, candidates, its, within, tuple(rivals), chances))
     return causes
+
+
+def listed_chance(evidence: float) -> float:
+    """Probability that the library has the law of a cause, though an unlisted one may look like it.
+
+    What an unlisted law does has a share f in common with the best effect of the library; any
+    share between 0 and 1 is as likely. Of a cause of E nats it leaves E (1 / f - 1), which nothing
+    shows below R nats: if f is more than E / (E + R), with a probability of R / (E + R).
+
+    Args:
+        evidence: Of the cause, E [nats].
+    """
+    shown = HIDDEN + REMAINDER * evidence
+    return 1.0 / (1.0 + UNLISTED * shown / (evidence + shown))
 
 
 def probabilities(candidates: Sequence[Candidate]) -> dict[str, float]:

@@ -14,7 +14,6 @@ import numpy as np
 from orbitfb.core.gap import GapSight
 from orbitfb.core.signals import Channels, Mask
 from orbitfb.core.transitions import Transitions
-from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.rows import astray
 
@@ -59,21 +58,6 @@ class Source(Protocol):
         ...
 
 
-def broken_devices(diagnosis: Diagnosis, begin: float = -np.inf) -> tuple[Broken, ...]:
-    """List the broken devices in a diagnosis.
-
-    Args:
-        diagnosis: The answer.
-        begin: Time of the first reading of its record [s since the epoch].
-    """
-    return tuple(
-        Broken(cause.effect, name, cause.planes, begin + (cause.onset_s or 0.0))
-        for cause in diagnosis.causes
-        if cause.effect in BREAKING and (cause.probability or 0.0) >= SURE
-        for name in cause.places
-    )
-
-
 def broken_at_sight(sight: GapSight) -> tuple[Broken, ...]:
     """List the broken devices that a look at the last ticks found."""
     if not sight.resolved or sight.effect not in BREAKING or sight.probability < SURE:
@@ -84,22 +68,19 @@ def broken_at_sight(sight: GapSight) -> tuple[Broken, ...]:
     )
 
 
-def broken_rows(
-    broken: Diagnosis | Sequence[Broken], transitions: Transitions, channels: Channels
-) -> Mask:
+def broken_rows(broken: Sequence[Broken], transitions: Transitions, channels: Channels) -> Mask:
     """Find the rows that the learner must leave out.
 
     Args:
-        broken: A diagnosis, or its broken devices.
+        broken: The devices.
         transitions: T transitions.
         channels: Channels of the ring.
 
     Returns:
         Shape (T,): true where a broken corrector was moved.
     """
-    devices = broken_devices(broken) if isinstance(broken, Diagnosis) else broken
     refused = np.zeros(len(transitions), dtype=np.bool_)
-    for device in devices:
+    for device in broken:
         columns = _columns(device, channels.correctors, channels)
         moved = (transitions.applied[:, columns] != 0.0).any(axis=1)
         refused |= moved & (transitions.time >= device.since)

@@ -7,6 +7,7 @@ from orbitfb.diagnose.result.diagnosis import State
 from orbitfb.diagnose.result.parts import Cause, Finding, Gap, Shrink
 from orbitfb.diagnose.result.quantities import chance, parameter, percent, quantity
 from orbitfb.effects.registry import all_effects
+from orbitfb.estimation.priors import CERTAIN
 
 _LEAST_TOLD = 0.1
 """Probability of a further cause below which the sentence leaves it to the table [1]."""
@@ -65,6 +66,11 @@ def headline(
         for number, cause in enumerate(causes)
         if number == 0 or cause.probability is None or cause.probability >= _LEAST_TOLD
     ]
+    if state == "named" and any(_is_doubtful(cause) for cause in causes[:1]):
+        parts.append(
+            "The evidence is weak: a law that is in no library may look like it. A longer record, "
+            "or one with test excitation, would tell."
+        )
     if state == "ambiguous":
         sets = "; ".join(" and ".join(map(member, one.effects)) for one in ambiguous)
         splits = next((one.splits for one in ambiguous if one.splits), "").rstrip(".")
@@ -138,6 +144,10 @@ def to_do(cause: Cause) -> str:
     if cause.scatter and not (kind and kind.grows):
         return "All devices have errors: measure the response again, or refit the model."
     return _TO_DO[cause.stage].format(where=where_is(cause))
+
+
+def _is_doubtful(cause: Cause) -> bool:
+    return cause.probability is not None and cause.probability <= CERTAIN
 
 
 def _named(cause: Cause, *, first: bool) -> str:

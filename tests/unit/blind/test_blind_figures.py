@@ -1,11 +1,24 @@
 """Rates, curves and comparisons against numbers counted by hand or of tables."""
 
+from typing import Any
+
+import numpy as np
 import pytest
 
 from benchmarks.blind.compare import Paired, compare
-from benchmarks.blind.figures import calibration, confusion, figures, median, rate, states, wilson
+from benchmarks.blind.figures import (
+    calibration,
+    confusion,
+    figures,
+    hidden,
+    median,
+    rate,
+    states,
+    wilson,
+)
 from benchmarks.blind.judging import judge
 from benchmarks.blind.truth import TrueEffect, Truth
+from orbitfb.estimation.priors import REMAINDER
 
 GAIN = Truth((TrueEffect("bpm-gain", frozenset({"bpm-gain"})),), "easy")
 NOTHING = Truth((), "none")
@@ -50,6 +63,24 @@ def test_the_largest_evidence_where_there_is_nothing_is_told() -> None:
     told = figures([quiet(NOTHING, -1.0, 4.5), quiet(NOTHING, 2.0), quiet(GAIN, 9.0)])
     found = next(one for one in told if one.name.startswith("no gap: evidence"))
     assert (found.value, found.count) == (4.5, 2)
+
+
+def test_what_stays_hidden_of_effects_of_no_library_is_told() -> None:
+    """Of draws whose rest is known; those that find nothing do not count."""
+    rng, rest = np.random.default_rng(3), 60.0
+    foreign = Truth((TrueEffect("odd", frozenset(), known=False),), "easy")
+
+    def answer(evidence: float) -> dict[str, Any]:
+        chance = (rest + REMAINDER * evidence) / (evidence + rest + REMAINDER * evidence)
+        causes = [{"effect": "bpm-gain", "probability": 0.95}]
+        state = "named" if rng.random() < chance else "unknown"
+        return {"state": state, "causes": causes, "tournament": {"rows": [{"nats": evidence}]}}
+
+    cases = [judge(foreign, answer(one)) for one in np.exp(rng.uniform(2.0, 8.0, 600))]
+    found = hidden([*cases, judge(foreign, {"state": "no_gap", "causes": []})])
+    assert found.count == 600
+    assert found.low < rest < found.high < 1.6 * found.low
+    assert hidden([]).count == 0
 
 
 def test_confusion_and_states_count_every_record() -> None:

@@ -36,6 +36,12 @@ def test_no_probability_is_a_certainty():
     assert chance(0.98) == "0.98"
 
 
+@pytest.mark.parametrize(("probability", "weak"), [(0.85, True), (0.95, False), (None, False)])
+def test_a_cause_of_weak_evidence_is_said_to_be_one(probability: float | None, weak: bool):
+    cause = examples.lag_cause().model_copy(update={"probability": probability})
+    assert ("no library may look like it" in headline("named", causes=(cause,))) is weak
+
+
 def test_a_further_cause_that_is_hardly_one_is_left_to_the_table():
     first = examples.lag_cause()
     further = [
