@@ -162,7 +162,7 @@ def _crates(record: Record, told: set[str]) -> list[Finding]:
         f"(first {rows[0]}): those readings were missed and the old ones kept"
     )
     span = (int(rows[0]), int(rows[-1]))
-    return [Finding("repeated-crate", "warning", names, span, text, effect="missed-read")]
+    return [Finding("repeated-crate", "warning", names, span, text, effect=_missed(len(rows)))]
 
 
 def _held(record: Record, single: Mask) -> list[int]:
@@ -181,6 +181,11 @@ def _ever_another(readings: Vector, equal: Mask) -> bool:
         return False
     steps = np.round(steps / (_ALIKE * np.median(steps)))
     return all(len(np.unique(v)) >= _MOSTLY * len(v) for v in (stays, steps))
+
+
+def _missed(rows: int) -> str:
+    """Effect that so many repeated rows prove; where a delay of a tick begins there is one, too."""
+    return "missed-read" if rows > 1 else ""
 
 
 def _held_finding(
@@ -215,7 +220,7 @@ def _whole_orbits(record: Record, whole: Mask) -> list[Finding]:
         f"{counted(count, 'row')} (first "
         f"{span[0]}): those readings were missed and the old ones kept"
     )
-    return [Finding("repeated-orbit", "warning", (), span, text, effect="missed-read")]
+    return [Finding("repeated-orbit", "warning", (), span, text, effect=_missed(count))]
 
 
 def _all_frozen(record: Record, single: Mask, whole: Mask, usual: float) -> list[Finding]:
