@@ -147,7 +147,7 @@ def _heard(one: _Worker, longest: float) -> Answer | None:
     if one.pipe.poll():
         try:
             said: Answer | None = one.pipe.recv()
-        except EOFError:
+        except (EOFError, ConnectionError):  # it may have died before it took the task
             one.process.join()
             return Answer(None, seconds, problem=f"its process ended: {one.process.exitcode}")
         if said is None:  # it has the engine now, and begins
@@ -196,7 +196,7 @@ def _serve(pipe: Connection) -> None:
     while True:
         try:
             task: Task = pipe.recv()
-        except EOFError:
+        except (EOFError, ConnectionError):  # it may have died before it took the task
             return
         try:
             pipe.send(_answered(task, lambda: pipe.send(None)))

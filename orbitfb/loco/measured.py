@@ -13,7 +13,6 @@ Pair = tuple[Plane, Plane]
 """Plane of the readings and plane of the kicks."""
 
 PLANES: tuple[Plane, Plane] = ("x", "y")
-DIAGONAL: tuple[Pair, Pair] = (("x", "x"), ("y", "y"))
 CROSS: tuple[Pair, Pair] = (("x", "y"), ("y", "x"))
 
 
