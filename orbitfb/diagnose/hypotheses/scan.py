@@ -24,7 +24,7 @@ from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, ElementsLaw, EventLaw, FieldLaw, Law, PairLaw
 from orbitfb.estimation.evidence import given_size, normal_size
-from orbitfb.estimation.priors import CLOSE, FINALISTS, SIZE_WIDTH, SURE, VALUE_COST
+from orbitfb.estimation.priors import CLOSE, FINALISTS, SIZE_WIDTH, SURE, SWALLOWED, VALUE_COST
 
 
 def candidates_of(
@@ -49,16 +49,18 @@ def candidates_of(
 def _refined(candidates: list[Candidate], scorer: Scorer, enough: float) -> list[Candidate]:
     """Evaluate the finalists exactly, and refine their values, until all that lead are.
 
-    A scan leaves out up to half of what is worth something, so less than half of what is enough,
-    or a small part of the best, can win no more. It leaves out more of a law that begins late,
-    whose beginning the floor has for a walk. That the noise of a BPM is odd wins against none.
+    A scan leaves out up to half of what is worth something, and the floor has up to half, so less
+    than a quarter of what is enough, or a small part of the best, can win no more. A scan leaves
+    out more of a law that begins late, whose beginning the floor has for a walk. That the noise of
+    a BPM is odd wins against none.
     """
+    hidden = enough / SWALLOWED**2
     while True:
         told = (one.evidence for one in candidates if not (one.noisy and one.courseless))
         top = next(told, 0.0)
         for place in _leading(candidates):
             one = candidates[place]
-            least = 0.5 * enough if one.onset else max(0.5 * enough, CLOSE * top)
+            least = hidden if one.onset else max(hidden, CLOSE * top)
             if one.finer is not None and one.evidence > least:
                 fine = one.finer()
                 better = one.field is None or fine.evidence > one.evidence

@@ -49,12 +49,14 @@ def refitted(candidates: Sequence[Candidate], space: Workspace, enough: float = 
     Args:
         candidates: The best first.
         space: That they were tried on.
-        enough: Evidence from which one is accepted [nats]; half of it may be in the floor.
+        enough: Evidence from which one is accepted [nats].
     """
     # Noise has no floor of its own. Where it leads, a law whose course is told may be what is odd
     # in it; a random course would be as odd as the noise.
     coursed = bool(candidates) and candidates[0].noisy
-    if not any(one.evidence >= 0.5 * enough and _is_weighed(one, coursed) for one in candidates):
+    if not any(
+        _is_weighed(one, coursed) and _at_most(one, one.evidence) >= enough for one in candidates
+    ):
         return Weighing(list(candidates), space)
     candidates = [device_by_device(one, space) for one in candidates]
     space = space.saturable()
@@ -180,7 +182,7 @@ class _Rivals:
         """Number of the one that gets a floor of its own next; None: no other needs one."""
         good = self.good()
         best = max(good, default=0.0)
-        least = max(0.5 * self.enough, CLOSE * best)
+        least = CLOSE * best
         if len(good) >= LEADING:
             least = max(least, best - SURE * (1.0 + MISFIT * best))
         weighed = self._weighed()
@@ -196,7 +198,8 @@ class _Rivals:
             more = _by_device(one) or self._begins_with_best(one)
             at_it = at_it or (self.worth[number] > 0.5 * best and more)
             at_it = at_it or (one.undone is not None and one.evidence > self.enough)
-            if at_it or self.worth[number] > least:
+            enough = _at_most(one, self.worth[number]) >= self.enough
+            if at_it or (enough and self.worth[number] > least):
                 return int(number)
         return None
 
@@ -234,6 +237,17 @@ class _Rivals:
 def _is_weighed(one: Candidate, coursed: bool) -> bool:
     """Whether it may have a floor of its own: all but noise, or only what adds a course."""
     return one.additive if coursed else not one.noisy
+
+
+def _at_most(one: Candidate, worth: float) -> float:
+    """Evidence that it may have over a floor of its own [nats]: the other has half of what it adds.
+
+    Args:
+        one: The candidate.
+        worth: Evidence that it has over the floor of all [nats].
+    """
+    added = worth + (one.cost or 0.0)
+    return worth + (SWALLOWED - 1.0) * max(added, 0.0)
 
 
 def _form(one: Candidate) -> tuple[str, str]:

@@ -273,3 +273,15 @@ def test_of_candidates_with_like_evidence_the_weighed_one_leads() -> None:
     rivals = _Rivals([scanned, weighed], [20.3, 15.5], 12.0, False)
     rivals.own[1] = replace(weighed, evidence=18.8)
     assert rivals.ranked()[0].field is not None
+
+
+@pytest.mark.parametrize(("cost", "weighed"), [(0.0, None), (18.0, 0)])
+def test_what_adds_much_is_weighed_though_its_costs_leave_little(
+    cost: float, weighed: int | None
+) -> None:
+    """A floor hides a share of all that a law adds, and not of what its costs leave of that."""
+    one = Candidate(
+        effect("insertion-device"), (3,), ("Q3 (x)",), {"kick": 1e-7}, 4.0,
+        field=np.ones((3, 2)), cost=cost,
+    )  # fmt: skip
+    assert _Rivals([one], [one.evidence], 12.0, False).next() == weighed
