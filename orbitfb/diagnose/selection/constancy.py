@@ -44,7 +44,7 @@ def varying(accepted: Sequence[Candidate], space: Workspace) -> list[FreeCourse]
         left, sizes, right = np.linalg.svd(made - made.mean(axis=0), full_matrices=False)
         courses, patterns = (left * sizes)[:, :_ORBITS], right[:_ORBITS]
         for count in several:
-            spectra = [space.transform.quick_spectrum(one) for one in _windows(courses, count)]
+            spectra = [space.transform.quick_spectrum(part) for part in _windows(courses, count)]
             pull, information = weighed.columns(
                 [pattern[:, None] for pattern in patterns], np.hstack(spectra)
             )
