@@ -114,10 +114,10 @@ def calibration(judged: Sequence[Judged]) -> tuple[float, list[dict[str, Any]]]:
 
 
 def hidden(foreign: Sequence[Judged]) -> Figure:
-    """Tell how much an effect of no library leaves beside the likest one, before anything shows it.
+    """Tell what an effect of no library leaves beside the one that it looks like, still hidden.
 
-    If it has any share in common with that one, a rest R stays hidden beside E nats with the
-    probability R / (E + R), as `orbitfb.diagnose.impact.named.listed_chance` has it.
+    If any share of it is alike, a rest R stays hidden beside E nats with the probability
+    R / (E + R), as `orbitfb.diagnose.impact.named.listed_chance` has it.
 
     Args:
         foreign: Answers to effects of no library. Those that find nothing at all say nothing of

@@ -147,7 +147,7 @@ def _heard(one: _Worker, longest: float) -> Answer | None:
     if one.pipe.poll():
         try:
             said: Answer | None = one.pipe.recv()
-        except (EOFError, ConnectionError):  # it may have died before it took the task
+        except (EOFError, ConnectionError):  # it may die before it takes its task
             one.process.join()
             return Answer(None, seconds, problem=f"its process ended: {one.process.exitcode}")
         if said is None:  # it has the engine now, and begins
@@ -196,7 +196,7 @@ def _serve(pipe: Connection) -> None:
     while True:
         try:
             task: Task = pipe.recv()
-        except (EOFError, ConnectionError):  # it may have died before it took the task
+        except EOFError:
             return
         try:
             pipe.send(_answered(task, lambda: pipe.send(None)))

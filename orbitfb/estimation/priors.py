@@ -187,10 +187,11 @@ UNLISTED = 0.25
 """Faults whose law is in no library, per one whose law is [1]. By hand: one fault in five."""
 
 HIDDEN = 50.0
-"""What an unlisted law leaves beside the effect that it looks like most before anything shows it
-[nats], besides `REMAINDER`. `benchmarks.blind` tells it: 54 [17, 141] of 26 such records (`--own`
-58 to 61, the last with `--leave-out`, `--plant` 1022 to 1024). Of small rings it is 4,800: what is
-left out of the library there has a twin in it, as a supply that trips has one that is limited."""
+"""What an unlisted law leaves beside the effect that it looks like most, and nothing shows [nats],
+besides `REMAINDER`. `benchmarks.blind` tells it of the records of a run. Of 26 of several runs
+(`--own` 58 to 61, the last with `--leave-out`, `--plant` 1022 to 1024) it is 54 [17, 141]. Of small
+rings it is 3,500 (`--many 54`, `--leave-out`): what is left out of the library there has a twin in
+it, as a supply that trips has one that is limited."""
 
 REMAINDER = 0.03
 """Share of the named causes' evidence from which what a free course finds beside them is told [1]:

@@ -156,13 +156,14 @@ def _crates(record: Record, told: set[str]) -> list[Finding]:
     )
     if len(names) < _TOGETHER or told & set(names) or _by_chance(same, len(names), len(rows)):
         return []
+    why, effect = _missed(len(rows))
     text = (
         f"{listed(names)} repeat their readings, to the last bit, at the same "
         f"{counted(len(rows), 'row')} "
-        f"(first {rows[0]}): those readings were missed and the old ones kept"
+        f"(first {rows[0]}): {why}"
     )
     span = (int(rows[0]), int(rows[-1]))
-    return [Finding("repeated-crate", "warning", names, span, text, effect=_missed(len(rows)))]
+    return [Finding("repeated-crate", "warning", names, span, text, effect=effect)]
 
 
 def _held(record: Record, single: Mask) -> list[int]:
@@ -183,9 +184,11 @@ def _ever_another(readings: Vector, equal: Mask) -> bool:
     return all(len(np.unique(v)) >= _MOSTLY * len(v) for v in (stays, steps))
 
 
-def _missed(rows: int) -> str:
-    """Effect that so many repeated rows prove; where a delay of a tick begins there is one, too."""
-    return "missed-read" if rows > 1 else ""
+def _missed(rows: int) -> tuple[str, str]:
+    """What so many repeated rows are, in words, and the effect that they prove."""
+    if rows > 1:
+        return "those readings were missed and the old ones kept", "missed-read"
+    return "a reading was missed, or a delay of one tick begins there", ""
 
 
 def _held_finding(
@@ -215,12 +218,13 @@ def _whole_orbits(record: Record, whole: Mask) -> list[Finding]:
             "in which the orbit was read"
         )
         return [Finding("frozen-orbit", "failure", (), span, text)]
+    why, effect = _missed(count)
     text = (
         f"the whole orbit repeats the one before, to the last bit, in "
         f"{counted(count, 'row')} (first "
-        f"{span[0]}): those readings were missed and the old ones kept"
+        f"{span[0]}): {why}"
     )
-    return [Finding("repeated-orbit", "warning", (), span, text, effect=_missed(count))]
+    return [Finding("repeated-orbit", "warning", (), span, text, effect=effect)]
 
 
 def _all_frozen(record: Record, single: Mask, whole: Mask, usual: float) -> list[Finding]:

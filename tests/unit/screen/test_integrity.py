@@ -230,6 +230,7 @@ def test_where_a_delay_begins_no_reading_was_missed(late):
     kept = replace(made, readings=readings)
     (found,) = screen(kept)
     assert (found.effect, found.rows) == ("", (150, 150))
+    assert "a delay of one tick begins there" in found.text
     assert proved(kept, [found], frozenset()).causes == ()
 
 
