@@ -58,6 +58,10 @@ class ActuatorKind(EffectKind):
             lost = self.drive(beginning, every, given.record.rows(0, 1)) - beginning
             return lost.reshape(given.currents.shape)
 
+        def lacks(values: Values, given: Signals, onset: int) -> str:
+            since = given.record.rows(onset, len(given.currents))
+            return self.lacks(given.currents[onset:], values, since)
+
         def some(given: Signals, columns: Indices) -> Signals:
             return replace(given, currents=given.currents[:, columns])
 
@@ -66,9 +70,24 @@ class ActuatorKind(EffectKind):
         return (
             DeviceLaw(
                 (layout.response,), course, names, groups,
-                first=first, driven=True, some=some, many=self.many,
+                first=first, driven=True, some=some, many=self.many, lacks=lacks,
             ),
         )  # fmt: skip
+
+    def lacks(self, setpoints: Matrix, values: Values, record: Record) -> str:
+        """Tell what a record does not show of the law that makes it this one, and no simpler one.
+
+        A limit that nothing ever gets below is a current that stands still, whatever it is called.
+
+        Args:
+            setpoints: Of the devices that it strikes, since it began, shape (N, k) [A].
+            values: All parameters.
+            record: Of these rows.
+
+        Returns:
+            The end of a sentence; empty: it lacks nothing.
+        """
+        return ""
 
     @property
     def many(self) -> Callable[[Sequence[Values], Signals], Matrix] | None:
@@ -153,6 +172,9 @@ class SensorKind(EffectKind):
             restored, widened = self.restore(read, values, record)
             return read - restored, widened
 
+        def lacks(values: Values, given: Signals, onset: int) -> str:
+            return self.lacks(values, given.record.rows(onset, len(given.orbit)))
+
         def some(given: Signals, columns: Indices) -> Signals:
             return replace(given, orbit=given.orbit[:, columns])
 
@@ -161,9 +183,18 @@ class SensorKind(EffectKind):
             DeviceLaw(
                 (np.eye(len(names)),), course, names, layout.bpms.groups(),
                 periodic=self.periodic, undone=undone if self.undoable else None,
-                some=some if self.parameters else None,
+                some=some if self.parameters else None, lacks=lacks,
             ),
         )  # fmt: skip
+
+    def lacks(self, values: Values, record: Record) -> str:
+        """Tell what a record does not show of the law, as `ActuatorKind.lacks` does.
+
+        Args:
+            values: All parameters.
+            record: Of the rows since it began.
+        """
+        return ""
 
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
         """Undo the effect, if it is undoable: what would have been read without it.

@@ -68,6 +68,8 @@ class DeviceLaw:
         undone: What undoing the law takes off the readings of some BPMs, shape (N, k) [m], and the
             log of the factor by which that widens the density of every row, shape (N,); None of a
             law that no change of the readings undoes.
+        lacks: What a record does not show of the law that makes it this one, since a row; empty if
+            it lacks nothing. None of a law that is never another one.
     """
 
     patterns: tuple[Matrix, ...]
@@ -81,6 +83,7 @@ class DeviceLaw:
     some: Callable[[Signals, Indices], Signals] | None = None
     many: Callable[[Sequence[Values], Signals], Matrix] | None = None
     undone: Callable[[Values, Signals, Indices], tuple[Matrix, Vector]] | None = None
+    lacks: Callable[[Values, Signals, int], str] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ from orbitfb.diagnose.hypotheses.refit import Course, joined
 from orbitfb.diagnose.likelihood.corrected import driven, hearing
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.laws import Signals
 from orbitfb.estimation.priors import HEARD, VALUE_SCATTER
 from orbitfb.estimation.transform import Matrix
 
@@ -97,6 +98,11 @@ class Candidate:
     def takes_noise(self) -> bool:
         """Whether its sources are undone in the readings, noise included."""
         return self._undo() is not None
+
+    def lacks(self, signals: Signals) -> str:
+        """What none of its devices shows of the law that makes it this one; empty: nothing."""
+        told = [one.lacks(self.kind, signals) for one in self.sources]
+        return told[0] if told and all(told) else ""
 
     def accepted(self, space: Workspace, spread: bool = True) -> Workspace:
         """Add it to what a workspace explains, and estimate the floor anew.

@@ -53,17 +53,7 @@ class Course:
 
     def of(self, signals: Signals, values: Values) -> tuple[Matrix, ...]:
         """Courses of the devices for given values, nothing before the onset, (N, k) or (N, 1)."""
-        own, state, chosen = dict(self.own), self.first, slice(None)
-        if self.law.some is not None and self.places:
-            signals = self.law.some(signals, np.array(self.places))
-        else:
-            chosen = list(self.places) if self.places else slice(None)
-            own = {name: self._every(1.0, mine) for name, mine in own.items()}
-            state = None if state is None else self._every(0.0, state)
-        each = {name: values[name] * factor for name, factor in own.items()}
-        if state is not None:
-            each[FIRST_STATE] = state
-        values = cast(Values, {**values, **each})
+        signals, values, chosen = self._struck(signals, values)
         found, reached = [], None
         if self.onset and self.law.first is not None:
             reached = self.law.first(values, signals)[self.onset, chosen]
@@ -81,6 +71,35 @@ class Course:
         for block, course in zip(self.law.patterns, self.of(signals, self.values), strict=True):
             total = total + (course * self.size) @ block[:, chosen].T
         return np.asarray(total)
+
+    def lacks(self, kind: EffectKind, signals: Signals) -> str:
+        """What the record does not show of the law that makes it this one; empty: nothing."""
+        if self.law.lacks is None:
+            return ""
+        signals, values, _ = self._struck(signals, self.values)
+        scaled = {p.name: self.size * values[p.name] for p in kind.sizes}
+        return self.law.lacks(cast(Values, {**values, **scaled}), signals, self.onset)
+
+    def _struck(
+        self, signals: Signals, values: Values
+    ) -> tuple[Signals, Values, slice | list[int]]:
+        """Signals and values of its devices, if the law can be told of these alone, or of all.
+
+        Returns:
+            Signals, values, and the columns of the courses that are its devices.
+        """
+        own, state = dict(self.own), self.first
+        chosen: slice | list[int] = slice(None)
+        if self.law.some is not None and self.places:
+            signals = self.law.some(signals, np.array(self.places))
+        else:
+            chosen = list(self.places) if self.places else slice(None)
+            own = {name: self._every(1.0, mine) for name, mine in own.items()}
+            state = None if state is None else self._every(0.0, state)
+        each = {name: values[name] * factor for name, factor in own.items()}
+        if state is not None:
+            each[FIRST_STATE] = state
+        return signals, cast(Values, {**values, **each}), chosen
 
     def _every(self, others: float, mine: Vector) -> Vector:
         """Numbers of all devices of the law, shape (D,): of those of the course, and of others."""

@@ -37,6 +37,11 @@ class Named:
         return sum(one.evidence for one in self.parts)
 
     @property
+    def lacks(self) -> str:
+        """What the record does not show of its law that makes it this one; empty: nothing."""
+        return self.parts[0].lacks(self.round.space.signals)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Places of all parts, each once; empty: the ring, or all devices."""
         if any(not one.places for one in self.parts):

@@ -21,6 +21,7 @@ from orbitfb.diagnose.selection.echoes import (
 )
 from orbitfb.diagnose.selection.healthy_motion import with_motion
 from orbitfb.diagnose.selection.own_floors import refitted, with_noise_after
+from orbitfb.diagnose.selection.proper import proper
 from orbitfb.diagnose.selection.settled import settled
 from orbitfb.diagnose.selection.undecided import drawn_with, leaders, undecided
 from orbitfb.diagnose.selection.unknown import unknown_laws
@@ -135,6 +136,7 @@ def tournament(
         odd = oddness(candidates, drawn) if alone else odd
         of_bpms = any(one.kind.target == "bpm" for one in accepted)  # one of them says it all
         candidates = last_resort(candidates, None if alone else 0.0 if of_bpms else odd, drawn)
+        candidates = proper(candidates, space.signals)
         deaf = coloured_names(accepted)
         base = None if accepted else weighing.base  # beside causes it is a share of them
         free = _less(unknown_laws(weighing.bare, candidates[:1], deaf, base), owed)

@@ -194,7 +194,15 @@ def unknown_of(
     told = sum(one.evidence for one in causes)
     places = tuple(dict.fromkeys(name for one in verdict.left[:_WHERE] for name in one.names))
     text, what = "", "The gap" if verdict.state == "unknown" else "The rest"
-    if verdict.rest is not None:
+    if verdict.improper is not None:
+        poor = verdict.improper
+        places = poor.names[:_WHERE]
+        where = f" at {listed(poor.names[:_NAMED])}" if poor.names else ""
+        text = (
+            f"{what}{where} looks most like {poor.kind.title}, but {poor.lacks}: it is another law "
+            "that does the same, and that is not in the library or was left out."
+        )
+    elif verdict.rest is not None:
         places = verdict.rest.names[:_WHERE]
         text = (
             f"The rest looks most like {verdict.rest.kind.title}. If so many effects seem to act "
@@ -205,6 +213,11 @@ def unknown_of(
         text = (
             f"The noise of {where} grows or shrinks with how far or how fast the beam moves there, "
             "by a law that is not in the library."
+        )
+    elif verdict.left and verdict.left[0].target == "shared":
+        text = (
+            f"The BPMs {listed(verdict.left[0].names[:_NAMED])} have noise in common, in a way "
+            "that is not in the library."
         )
     elif verdict.left and verdict.left[0].target == "varying":
         where = f" at {listed(verdict.left[0].names[:_NAMED])}" if verdict.left[0].names else ""

@@ -24,6 +24,7 @@ class Judged:
         rest: What of the library is sure beside the causes and was not accepted; None: nothing.
         explained: Share of the gap that the causes explain, where more than they is at work [1].
         shared: Devices that two of the causes have in common, and no others; empty: there are none.
+        improper: A cause of which the record does not show what makes it that one; None: it does.
     """
 
     state: State
@@ -32,6 +33,7 @@ class Judged:
     rest: Candidate | None = None
     explained: float = 1.0
     shared: tuple[str, ...] = ()
+    improper: Named | None = None
 
 
 def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
@@ -52,9 +54,18 @@ def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
     if nameless is not None:
         share = told / (told + nameless.evidence)
         return Judged("unknown", (nameless,), nameless.evidence, explained=share)
+    # Of a weak cause, which is told as such, the values are hardly known that say what it lacks.
+    sure = (one for one in causes if one.probability > CERTAIN)
+    improper = next((one for one in sure if one.lacks), None)
+    if improper is first:
+        return Judged("unknown", left, first.evidence, explained=0.0, improper=first)
+    if improper is not None:
+        known = told - improper.evidence
+        state: State = "named_plus_remainder"
+        return Judged(state, left, improper.evidence, explained=known / told, improper=improper)
     rest = rounds[-1].left(told) if len(rounds) > 1 else None
     if rest is not None and rest.evidence > max(nats, REMAINDER * told):
-        state: State = "unknown" if rest.evidence > told else "named_plus_remainder"
+        state = "unknown" if rest.evidence > told else "named_plus_remainder"
         return Judged(state, left, rest.evidence, rest, told / (told + rest.evidence))
     if nats > REMAINDER * told:
         return Judged("named_plus_remainder", left, nats, explained=told / (told + nats))

@@ -70,6 +70,11 @@ class CorrectorDeadband(SteppingKind):
 
         return followed(setpoints, record, law, np.ndim(width) > 0)
 
+    def lacks(self, setpoints: Matrix, values: Values, record: Record) -> str:
+        """A current that never catches up is stuck, one that does so once has jumped."""
+        jumps = np.count_nonzero(np.diff(self.drive(setpoints, values, record), axis=0), axis=0)
+        return "the current catches up less than twice" if jumps.max(initial=0) < 2 else ""
+
     def grid(self, record: Record) -> tuple[Values, ...]:
         """Widths up to several times the largest change: it is dead to them or not."""
         return ladder("width", {}, widths(record, 6.0 * largest_change(record)))

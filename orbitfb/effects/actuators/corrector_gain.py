@@ -3,7 +3,7 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.actuating import ColumnsEffect
+from orbitfb.effects.actuating import ColumnsEffect, stands_still
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import CALIBRATION_ERROR, Parameter, Values
 from orbitfb.physics.effect import Effect
@@ -58,6 +58,11 @@ class CorrectorGain(ActuatorKind):
     def healthy_scatter(self, layout: Layout) -> Vector:
         """One per cent each."""
         return np.full(len(layout.correctors), CALIBRATION_ERROR)
+
+    def lacks(self, setpoints: Matrix, values: Values, record: Record) -> str:
+        """A current of which nothing is left is off."""
+        still = stands_still(setpoints, self.drive(setpoints, values, record))
+        return "the current never moves" if still else ""
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -93,6 +93,14 @@ class CorrectorHysteresis(SteppingKind):
             followed(setpoints, record, law, own, first, lasts=True) - setpoints
         )
 
+    def lacks(self, setpoints: Matrix, values: Values, record: Record) -> str:
+        """Within a play that is too wide for its setpoints a field has a gain."""
+        half = 0.5 * values["width"]
+        drags = np.ptp(setpoints, axis=0)
+        crossed = float(np.maximum(drags - 2.0 * half, 0.0).sum())
+        wide = crossed < (1.0 - _HALF) * float(drags.sum())
+        return "the setpoint never crosses the whole play" if wide else ""
+
     def fitted(self, record: Record) -> tuple[Parameter, ...]:
         """Both, the width up to half the range: within a wider play what is lost is a gain."""
         width, share = self.parameters

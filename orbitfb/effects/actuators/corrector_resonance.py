@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.actuating import ColumnsEffect, filtered
@@ -23,6 +24,11 @@ and 0.2 %."""
 _SETTLED = ((0.5, 1.0), (0.6, 1.0), (0.8, 1.0), (1.0, 1.0), (0.75, 0.85), (0.77, 0.85))
 """The same for what has nearly settled after a tick, 18, 11, 4, 1, 0.4 and 0.1 % short: as a lag
 does."""
+
+_OVERSHOT = 0.01
+"""Of a step, as the rows show it: one that overshoots less cannot be told from a lag. By hand."""
+_SEEN = 200
+"""Rows in which it would."""
 
 
 class CorrectorResonance(ActuatorKind):
@@ -70,6 +76,16 @@ class CorrectorResonance(ActuatorKind):
             values["frequency"], values["damping"], record.layout.period
         )
         return filtered(setpoints, numerator, denominator, record)
+
+    def lacks(self, setpoints: Matrix, values: Values, record: Record) -> str:
+        """What does not overshoot is a lag."""
+        if values["frequency"] >= _STIFF:
+            return ""
+        numerator, denominator = _filter(
+            values["frequency"], values["damping"], record.layout.period
+        )
+        step = np.asarray(lfilter(numerator, denominator, np.ones(_SEEN)))
+        return "" if step.max() > 1.0 + _OVERSHOT else "nothing overshoots"
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """10 frequencies from a hundredth to nearly half the rate, with 2 dampings; 12 beyond."""

@@ -3,7 +3,13 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.actuating import ColumnsEffect, ladder, largest_setpoint, widest_range
+from orbitfb.effects.actuating import (
+    ColumnsEffect,
+    ladder,
+    largest_setpoint,
+    stands_still,
+    widest_range,
+)
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import OwnValues, Parameter, Values
 from orbitfb.physics.effect import Effect
@@ -113,6 +119,11 @@ class CorrectorSaturation(ActuatorKind):
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Hold back."""
         return _held(setpoints, values)
+
+    def lacks(self, setpoints: Matrix, values: Values, record: Record) -> str:
+        """Between limits with no room it is stuck, or tripped."""
+        still = stands_still(setpoints, self.drive(setpoints, values, record))
+        return "the current never moves" if still else ""
 
     def fitted(self, record: Record) -> tuple[Parameter, ...]:
         """Fit limit and rounding; on which side it is, is found by the scan."""

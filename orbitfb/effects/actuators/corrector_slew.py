@@ -12,6 +12,7 @@ from orbitfb.effects.actuating import (
     followed,
     ladder,
     largest_change,
+    stands_still,
 )
 from orbitfb.effects.device_kinds import SteppingKind
 from orbitfb.effects.kinds import Parameter, Values
@@ -58,6 +59,11 @@ class CorrectorSlew(SteppingKind):
             return own.least(own.most(wanted, held - most), held + most)
 
         return followed(setpoints, record, law, np.ndim(most) > 0)
+
+    def lacks(self, setpoints: Matrix, values: Values, record: Record) -> str:
+        """A current that goes nowhere is stuck."""
+        still = stands_still(setpoints, self.drive(setpoints, values, record))
+        return "the current never moves" if still else ""
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """24 rates up to that of the largest step of the record."""

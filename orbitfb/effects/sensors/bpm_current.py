@@ -114,6 +114,14 @@ class BpmCurrent(SensorKind):
         found = _top_ups(moved, record)
         return tuple({**typical, "period": period, "first": first} for period, first in found)
 
+    def lacks(self, values: Values, record: Record) -> str:
+        """A current that comes back once is a jump, and no saw-tooth."""
+        if CHANNEL in record.auxiliary:
+            return ""
+        period, first = _top_up(values)
+        tooth = np.floor((record.time[[0, -1]] - first) / period)
+        return "it comes back less than twice" if tooth[1] - tooth[0] < 2 else ""
+
     def follows(self, values: Values, record: Record) -> tuple[str, ...]:
         """The stored current."""
         return (CHANNEL,) if CHANNEL in record.auxiliary else ()
