@@ -40,7 +40,7 @@ class FreeCourse:
 
     Args:
         target: `bpm`, `corrector`, `noise` for the level of a BPM's noise, `source` for a place
-            that kicks, or `varying` for a cause that comes and goes.
+            that kicks, `shared` for noise in common, or `varying` for a cause that comes and goes.
         names: Of the devices that follow it alike; empty: all of them.
         evidence: Log evidence less the choice of devices and width [nats].
         cell: That they are, if several and not all are.

@@ -1,4 +1,4 @@
-"""Whether a cause is the same all the time: a law of the library is, a loose cable is not."""
+"""Whether a cause is what its law says at all times and frequencies: a loose cable is not."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -24,18 +24,21 @@ correctors of a cell make six."""
 
 
 def varying(accepted: Sequence[Candidate], space: Workspace) -> list[FreeCourse]:
-    """Weigh whether causes have other sizes in some windows of the record than in others.
+    """Weigh whether causes have other sizes in some windows or bands than in others.
 
     Args:
         accepted: Causes.
         space: With them.
 
     Returns:
-        For every cause that adds something known, and every length of windows.
+        For every cause that adds something known, and every length of windows; and for every one
+        that is random, of its spectrum.
     """
     found = []
     weighed = Weighed.of(space) if accepted else None
     for one in accepted:
+        if weighed is not None and (one.walk is not None or one.white is not None):
+            found += _by_band(one, weighed)
         made = _made(one, space)
         if weighed is None or made is None:
             continue
@@ -51,6 +54,26 @@ def varying(accepted: Sequence[Candidate], space: Workspace) -> list[FreeCourse]
             worth = float(evidence_of_sizes(pull[None], information[None])[0].item())
             found.append(FreeCourse("varying", one.names, worth - cost, cost=cost))
     return found
+
+
+def _by_band(one: Candidate, weighed: Weighed) -> Iterator[FreeCourse]:
+    """Weigh whether a random cause has the spectrum of its law.
+
+    What its pattern sees has the mean square ρ = 1 in every band; another one is likelier by
+    w (ρ − 1 − ln ρ) / 2 of w frequencies, less what a level of any size costs there.
+    """
+    space = weighed.space
+    for law in space.courses.laws(one.kind):
+        if not isinstance(law, RandomLaw) or law.relative or law.lag:
+            continue
+        transform, count = space.transform, space.transform.count
+        pattern = law.patterns[:, one.places[0] if one.places else 0]
+        square = (weighed.pulled @ pattern) ** 2
+        usual = weighed.weights @ ((pattern @ space.noise.modes) ** 2)
+        told = np.stack([square, usual], axis=1)
+        ratio = np.divide(*transform.by_band(told).T)
+        worth = 0.5 * np.sum(count * (ratio - 1.0 - np.log(ratio)) - np.log1p(0.5 * count))
+        yield FreeCourse("varying", one.names, float(worth) - VALUE_COST, cost=VALUE_COST)
 
 
 def _windows(courses: Matrix, count: int) -> Iterator[Matrix]:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.noise.shared import shared_noise
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.constancy import varying
 from orbitfb.diagnose.selection.rounds import Round, tournament
@@ -29,11 +30,12 @@ def search(
 
     Returns:
         The accepted candidates in order, and all rounds, as `tournament` does. What is unknown in
-        the last one may be that a cause comes and goes.
+        the last one may be that a cause comes and goes, or that BPMs have noise in common.
     """
     accepted, rounds = _over_either(space, kinds, tell)
     last = rounds[-1]
-    free = sorted([*last.free, *varying(accepted, last.space)], key=lambda one: -one.evidence)
+    more = [*varying(accepted, last.space), shared_noise(last.space)]
+    free = sorted([*last.free, *more], key=lambda one: -one.evidence)
     return accepted, [*rounds[:-1], replace(last, free=tuple(free))]
 
 

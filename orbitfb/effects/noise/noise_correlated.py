@@ -84,15 +84,13 @@ def groups_in_common(layout: Layout) -> list[tuple[str, Indices]]:
 
 
 def _runs(layout: Layout, columns: Indices) -> list[tuple[str, Indices]]:
-    """Runs of 2, 4, 8, … neighbours, each half over the one before."""
+    """Runs of 2, 3, 4, 6, 8, 12, … neighbours that begin at any BPM."""
     found: list[tuple[str, Indices]] = []
-    length = 2
-    while length < len(columns):
-        for begin in range(0, len(columns) - length + 1, max(length // 2, 1)):
+    for length in (size for two in (2, 4, 8, 16, 32, 64) for size in (two, two + two // 2)):
+        for begin in range(0, len(columns) - length + 1):
             run = columns[begin : begin + length]
             ends = layout.bpms.names[int(run[0])], layout.bpms.label(int(run[-1]))
             found.append((f"{ends[0]} to {ends[1]}", run))
-        length *= 2
     return found
 
 

@@ -293,7 +293,10 @@ def test_without_cells_runs_of_neighbours_are_the_groups(layout):
     bare = replace(layout, bpms=Devices(bpms.names, bpms.planes, ("",) * len(bpms)))
     kind = effect("noise-correlated")
     shapes = kind.patterns(bare)
-    assert {int(size) for size in shapes.sum(axis=0)} == {2, 4, 8, 16, 32, 64, 128, len(bpms)}
+    sizes = {2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, len(bpms)}
+    assert {int(size) for size in shapes.sum(axis=0)} == sizes
+    begins = {int(np.argmax(shape)) for shape in shapes.T if shape.sum() == 4}
+    assert begins == set(range(len(bpms) - 3))
     assert len(set(kind.places_of(bare))) == shapes.shape[1]
     assert kind.places_of(bare)[-1] == "all (x)"
 
