@@ -64,8 +64,17 @@ class LoopDelay(ActuatorKind):
         return late
 
     def grid(self, record: Record) -> tuple[Values, ...]:
-        """Quarters up to two ticks, halves up to six, and a very short delay."""
-        steps = [0.02, 0.05, 0.1, *np.arange(0.25, 2.0, 0.25), *np.arange(2.0, 6.1, 0.5)]
+        """Quarters up to two ticks, halves up to six, and short delays from 0.1 % of a tick."""
+        steps = [
+            0.001,
+            0.003,
+            0.008,
+            0.02,
+            0.05,
+            0.1,
+            *np.arange(0.25, 2.0, 0.25),
+            *np.arange(2.0, 6.1, 0.5),
+        ]
         return ladder("ticks", {}, steps)
 
     def simulate(

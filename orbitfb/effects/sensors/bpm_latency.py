@@ -15,7 +15,7 @@ from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
 _MOST = 10
-_PARTS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.55, 0.7, 0.85)
+_PARTS = (0.001, 0.004, 0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.55, 0.7, 0.85)
 """Parts of a tick that a scan looks at."""
 
 
@@ -74,7 +74,7 @@ class BpmLatency(SensorKind):
         return self.parameters[:1]
 
     def grid(self, record: Record) -> tuple[Values, ...]:
-        """A hundredth of a tick to six ticks."""
+        """A thousandth of a tick to six ticks."""
         more = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)
         return tuple({"ticks": ticks, "resampled": 0.0} for ticks in (*_PARTS, *more))
 
