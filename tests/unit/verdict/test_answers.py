@@ -321,6 +321,19 @@ def test_gains_of_some_bpms_are_alone_where_the_ground_or_the_loop_moves_much(
     assert len(cause.places) == 2
 
 
+def test_a_tripped_corrector_is_alone_where_slow_ground_hides_the_half_of_it(
+    tmp_path: Path,
+) -> None:
+    """Errors of its neighbours hide that it is one: by the scan three trip together."""
+    name = many.write("smooth-ground", "trip", 56, tmp_path)
+    found = diagnose_files(
+        tmp_path / f"{name}.npz", None, None, planes=None, ring=Ring.load(None, None), seed=0,
+        progress=lambda what, share: None,
+    )  # fmt: skip
+    (cause,) = found.causes
+    assert (found.state, cause.effect, cause.places) == ("named", "corrector-stuck", ("C18",))
+
+
 def test_two_effects_at_the_very_same_devices_are_rather_one_of_no_library() -> None:
     one = frozenset({"B1 (x)", "B2 (x)"}), 180
     other, none = (frozenset({"B2 (x)"}), 180), (frozenset[str](), 180)

@@ -215,12 +215,16 @@ def _from(
     for worth, free in worths_of(kind):
         # One that has no size is sought of any: healthy errors stand in for a part of it.
         size = worth if scales(kind) else any_size
-        gain, places = best_set(pull, information, law.groups, size, alone=not kind.collective)
-        names = tuple(law.names[place] for place in places)
-        its = kind, law, scorer, replace(begin, places=places), cost, free
-        one = Candidate(kind, places, names, values, gain - cost - late, onset=begin.row)
-        yield replace(one, finer=partial(exactly, *its))
-        yield replace(one, onset=0, finer=partial(always, *its))
+        sets = [best_set(pull, information, law.groups, size, alone=not kind.collective)]
+        if len(begin.places) == 1 != len(sets[0][1]):
+            # Errors of its neighbours hide that a single one is enough.
+            sets.append((begin.evidence + late, begin.places))
+        for gain, places in sets:
+            names = tuple(law.names[place] for place in places)
+            its = kind, law, scorer, replace(begin, places=places), cost, free
+            one = Candidate(kind, places, names, values, gain - cost - late, onset=begin.row)
+            yield replace(one, finer=partial(exactly, *its))
+            yield replace(one, onset=0, finer=partial(always, *its))
 
 
 def _hopeful_sets(
