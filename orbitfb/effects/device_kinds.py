@@ -24,10 +24,12 @@ class ActuatorKind(EffectKind):
 
     Attributes:
         proposes: Whether `hints` has any.
+        fresh: Whether it has to be followed anew from where it begins, as `DeviceLaw` says.
     """
 
     target = "corrector"
     proposes: ClassVar[bool] = False
+    fresh: ClassVar[bool] = False
 
     @abstractmethod
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
@@ -59,8 +61,8 @@ class ActuatorKind(EffectKind):
             return lost.reshape(given.currents.shape)
 
         def lacks(values: Values, given: Signals, onset: int) -> str:
-            since = given.record.rows(onset, len(given.currents))
-            return self.lacks(given.currents[onset:], values, since)
+            late = given.since(onset)
+            return self.lacks(late.currents, values, late.record)
 
         def some(given: Signals, columns: Indices) -> Signals:
             return replace(given, currents=given.currents[:, columns])
@@ -70,7 +72,7 @@ class ActuatorKind(EffectKind):
         return (
             DeviceLaw(
                 (layout.response,), course, names, groups,
-                first=first, driven=True, some=some, many=self.many, lacks=lacks,
+                first=first, driven=True, fresh=self.fresh, some=some, many=self.many, lacks=lacks,
             ),
         )  # fmt: skip
 
@@ -115,6 +117,8 @@ class ActuatorKind(EffectKind):
 
 class SteppingKind(ActuatorKind):
     """One whose memory is followed row by row: many values at once are then as quick as one."""
+
+    fresh = True
 
     @abstractmethod
     def drive_each(
@@ -173,7 +177,7 @@ class SensorKind(EffectKind):
             return read - restored, widened
 
         def lacks(values: Values, given: Signals, onset: int) -> str:
-            return self.lacks(values, given.record.rows(onset, len(given.orbit)))
+            return self.lacks(values, given.since(onset).record)
 
         def some(given: Signals, columns: Indices) -> Signals:
             return replace(given, orbit=given.orbit[:, columns])

@@ -43,6 +43,13 @@ class Signals:
     currents: Matrix
     orbit: Matrix
 
+    def since(self, row: int) -> "Signals":
+        """The same from a row on."""
+        if row == 0:
+            return self
+        record = self.record.rows(row, len(self.currents))
+        return Signals(record, self.currents[row:], self.orbit[row:])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceLaw:
@@ -61,6 +68,8 @@ class DeviceLaw:
             loses its whole current at once, one that hangs nothing. None: nobody knows, as where
             it acts on an orbit.
         driven: Whether the courses follow from the currents alone, whatever the orbit is.
+        fresh: Whether it has to be followed anew from where it begins: what has a threshold never
+            forgets where it was before. What does forget may have been there before the record.
         some: Signals of some devices alone, of which `course` and `first` tell what these do; None
             where that does not follow from their own columns.
         many: Courses of all devices for several sets of values at once, shape (N, V · D); None
@@ -80,6 +89,7 @@ class DeviceLaw:
     standing: bool = False
     first: Callable[[Values, Signals], Matrix] | None = None
     driven: bool = False
+    fresh: bool = False
     some: Callable[[Signals, Indices], Signals] | None = None
     many: Callable[[Sequence[Values], Signals], Matrix] | None = None
     undone: Callable[[Values, Signals, Indices], tuple[Matrix, Vector]] | None = None

@@ -54,12 +54,16 @@ class Course:
     def of(self, signals: Signals, values: Values) -> tuple[Matrix, ...]:
         """Courses of the devices for given values, nothing before the onset, (N, k) or (N, 1)."""
         signals, values, chosen = self._struck(signals, values)
-        found, reached = [], None
-        if self.onset and self.law.first is not None:
+        begins = self.onset if self.law.fresh else 0
+        reached = None
+        if self.onset and not begins and self.law.first is not None:
             reached = self.law.first(values, signals)[self.onset, chosen]
-        for course in self.law.course(values, signals):
+        found = []
+        for course in self.law.course(values, signals.since(begins)):
             part = course if course.shape[1] == 1 else course[:, chosen]
-            if self.onset:
+            if begins:
+                part = np.pad(part, ((begins, 0), (0, 0)))
+            elif self.onset:
                 base = based(part, self.onset, self.kick, reached)
                 part = np.where((np.arange(len(part)) >= self.onset)[:, None], part - base, 0.0)
             found.append(part)
