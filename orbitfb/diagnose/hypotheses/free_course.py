@@ -40,7 +40,8 @@ class FreeCourse:
 
     Args:
         target: `bpm`, `corrector`, `noise` for the level of a BPM's noise, `source` for a place
-            that kicks, `shared` for noise in common, or `varying` for a cause that comes and goes.
+            that kicks, `shared` for noise in common, `varying` for a cause that comes and goes, or
+            `spectrum` for a random one that has not the spectrum of its law.
         names: Of the devices that follow it alike; empty: all of them.
         evidence: Log evidence less the choice of devices and width [nats].
         cell: That they are, if several and not all are.

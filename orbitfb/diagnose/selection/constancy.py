@@ -73,7 +73,7 @@ def _by_band(one: Candidate, weighed: Weighed) -> Iterator[FreeCourse]:
         told = np.stack([square, usual], axis=1)
         ratio = np.divide(*transform.by_band(told).T)
         worth = 0.5 * np.sum(count * (ratio - 1.0 - np.log(ratio)) - np.log1p(0.5 * count))
-        yield FreeCourse("varying", one.names, float(worth) - VALUE_COST, cost=VALUE_COST)
+        yield FreeCourse("spectrum", one.names, float(worth) - VALUE_COST, cost=VALUE_COST)
 
 
 def _windows(courses: Matrix, count: int) -> Iterator[Matrix]:

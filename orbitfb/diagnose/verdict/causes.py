@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.free_course import FreeCourse
 from orbitfb.diagnose.impact.named import Named, probabilities
 from orbitfb.diagnose.impact.pieces import Piece
 from orbitfb.diagnose.likelihood.workspace import Workspace
@@ -199,8 +200,8 @@ def unknown_of(
         places = poor.names[:_WHERE]
         where = f" at {listed(poor.names[:_NAMED])}" if poor.names else ""
         text = (
-            f"{what}{where} looks most like {poor.kind.title}, but {poor.lacks}: it is another law "
-            "that does the same, and that is not in the library or was left out."
+            f"{what}{where} looks most like {poor.kind.title}, but {poor.lacks}: a simpler law "
+            "does the same, which is not in the library or was left out."
         )
     elif verdict.rest is not None:
         places = verdict.rest.names[:_WHERE]
@@ -208,35 +209,8 @@ def unknown_of(
             f"The rest looks most like {verdict.rest.kind.title}. If so many effects seem to act "
             "at once, one effect that is not in the library is more likely."
         )
-    elif verdict.left and verdict.left[0].target == "noise":
-        where = f"BPM {verdict.left[0].names[0]}" if verdict.left[0].names else "all BPMs"
-        text = (
-            f"The noise of {where} grows or shrinks with how far or how fast the beam moves there, "
-            "by a law that is not in the library."
-        )
-    elif verdict.left and verdict.left[0].target == "shared":
-        text = (
-            f"The BPMs {listed(verdict.left[0].names[:_NAMED])} have noise in common, in a way "
-            "that is not in the library."
-        )
-    elif verdict.left and verdict.left[0].target == "varying":
-        where = f" at {listed(verdict.left[0].names[:_NAMED])}" if verdict.left[0].names else ""
-        text = (
-            f"What was named{where} is not the same all the time: it comes and goes, or it is "
-            "another law."
-        )
-    elif verdict.left and verdict.left[0].target == "source":
-        text = (
-            f"{what} is like kicks at {verdict.left[0].names[0]}, whose course in time is not in "
-            "the library."
-        )
     elif verdict.left:
-        first = verdict.left[0]
-        device = {"bpm": "BPM", "corrector": "corrector"}[first.target]
-        where = f"all {device}s alike"
-        if first.names:
-            where = f"the {device}s of {first.cell}" if first.cell else f"{device} {first.names[0]}"
-        text = f"{what} follows the motion of {where}, by a law that is not in the library."
+        text = _of_free(verdict.left[0], what)
     elif verdict.shared:
         ring = verdict.shared == (RING,)
         places = () if ring else verdict.shared[:_WHERE]
@@ -254,6 +228,41 @@ def unknown_of(
         nearest_nats=causes[0].evidence if causes else None,
         explained=verdict.explained if told else 0.0,
     )
+
+
+def _of_free(first: FreeCourse, what: str) -> str:
+    """Say what a free course found.
+
+    Args:
+        first: The most telling one.
+        what: The gap, or the rest.
+    """
+    names = listed(first.names[:_NAMED])
+    at = f" at {names}" if first.names else ""
+    if first.target == "noise":
+        where = f"BPM {first.names[0]}" if first.names else "all BPMs"
+        return (
+            f"The noise of {where} grows or shrinks with how far or how fast the beam moves there, "
+            "by a law that is not in the library."
+        )
+    if first.target == "shared":
+        return f"The BPMs {names} have noise in common, in a way that is not in the library."
+    if first.target == "varying":
+        return (
+            f"What was named{at} is not the same all the time: it comes and goes, or it is "
+            "another law."
+        )
+    if first.target == "spectrum":
+        return f"What was named{at} has not the spectrum of its law: it is another random one."
+    if first.target == "source":
+        return (
+            f"{what} is like kicks at {first.names[0]}, whose course in time is not in the library."
+        )
+    device = {"bpm": "BPM", "corrector": "corrector"}[first.target]
+    where = f"all {device}s alike"
+    if first.names:
+        where = f"the {device}s of {first.cell}" if first.cell else f"{device} {first.names[0]}"
+    return f"{what} follows the motion of {where}, by a law that is not in the library."
 
 
 def tournament_of(

@@ -51,6 +51,6 @@ def test_a_walk_that_is_none_has_another_spectrum(walks: bool, other: bool) -> N
 
     accepted, found = search(Workspace.of(record, kinds_for(record)), [effect("bpm-walk")])
 
-    told = [one.evidence for one in found[-1].free if one.target == "varying"]
+    told = [one.evidence for one in found[-1].free if one.target == "spectrum"]
     assert [one.kind.id for one in accepted] == ["bpm-walk"]
     assert (max(told) > SURE) == other
