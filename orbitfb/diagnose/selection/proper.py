@@ -1,4 +1,4 @@
-"""Laws that are another one in an extreme, beside that other one."""
+"""Laws that do in an extreme what another one does by nature, beside that other one."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from orbitfb.estimation.priors import MISFIT, RIVAL
 
 
 def proper(candidates: list[Candidate], signals: Signals) -> list[Candidate]:
-    """Drop laws that another one is as well that is a rival, and that they are in an extreme only.
+    """Drop laws that do in an extreme only what a rival of theirs does by nature.
 
     A dead-band that no setpoint leaves is a corrector that is stuck. If no other law is a rival of
     the likeliest one, that one stays.

@@ -34,7 +34,6 @@ from orbitfb.diagnose.verdict.causes import (
     cause_of,
     struck_by,
     tournament_of,
-    unknown_of,
     waterfall_of,
 )
 from orbitfb.diagnose.verdict.proved import SCREENED, beside, proved
@@ -45,6 +44,7 @@ from orbitfb.diagnose.verdict.state import (
     beside_proved,
     judged,
 )
+from orbitfb.diagnose.verdict.unknown import unknown_of
 from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import all_effects

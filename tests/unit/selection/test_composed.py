@@ -9,8 +9,8 @@ from orbitfb.diagnose.impact.named import named
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection import rounds
 from orbitfb.diagnose.selection.own_floors import Weighing
-from orbitfb.diagnose.verdict.causes import unknown_of
 from orbitfb.diagnose.verdict.state import judged
+from orbitfb.diagnose.verdict.unknown import unknown_of
 from orbitfb.effects.registry import effect
 from tests.unit.hypotheses.small_records import make_record
 

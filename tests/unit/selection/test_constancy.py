@@ -5,8 +5,8 @@ import pytest
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.search import search
-from orbitfb.diagnose.verdict.causes import unknown_of
 from orbitfb.diagnose.verdict.state import Judged
+from orbitfb.diagnose.verdict.unknown import unknown_of
 from orbitfb.effects.registry import effect
 from orbitfb.estimation.priors import SURE
 from orbitfb.records.record import Record

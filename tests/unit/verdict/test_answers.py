@@ -11,10 +11,10 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.headline import RING
 from orbitfb.diagnose.result.parts import Shrink
-from orbitfb.diagnose.verdict.causes import unknown_of
 from orbitfb.diagnose.verdict.engine import diagnose
 from orbitfb.diagnose.verdict.files import diagnose_files
 from orbitfb.diagnose.verdict.state import Judged, beside_each_other, beside_left
+from orbitfb.diagnose.verdict.unknown import unknown_of
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Ring
 from orbitfb.records.record import Record

@@ -6,9 +6,9 @@ from benchmarks.simulate import simulate_record
 from orbitfb.diagnose.result.diagnosis import State
 from orbitfb.diagnose.screen.rails import RAIL
 from orbitfb.diagnose.screen.repeats import HELD
-from orbitfb.diagnose.verdict.causes import unknown_of
 from orbitfb.diagnose.verdict.proved import Proved, Untold, proved
 from orbitfb.diagnose.verdict.state import Judged, beside_proved
+from orbitfb.diagnose.verdict.unknown import unknown_of
 from orbitfb.physics.places import Ring
 from orbitfb.records.finding import Finding
 from orbitfb.records.record import Record
