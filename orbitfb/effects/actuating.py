@@ -85,8 +85,8 @@ def couples(places: Indices, name: str) -> Indices:
     return np.reshape(places, (-1, 2))
 
 
-def stands_still(courses: Matrix, currents: Matrix) -> bool:
-    """Whether the currents might as well not move: their motion is no part of what they lack.
+def lacks_motion(courses: Matrix, currents: Matrix) -> str:
+    """Say if currents might as well not move: their motion is no part of what they lack.
 
     Told of the currents themselves, which slow noise hides, and of their changes, as white noise
     does.
@@ -94,15 +94,19 @@ def stands_still(courses: Matrix, currents: Matrix) -> bool:
     Args:
         courses: What is wanted, shape (N, k).
         currents: What comes of it, shape (N, k).
+
+    Returns:
+        The end of a sentence, as `lacks` of a kind tells it; empty: they move.
     """
     lacking = courses - currents
-    return all(
+    still = all(
         float(np.var(moved, axis=0).sum()) < _NO_PART * float(np.var(lost, axis=0).sum())
         for moved, lost in (
             (currents, lacking),
             (np.diff(currents, axis=0), np.diff(lacking, axis=0)),
         )
     )
+    return "the current never moves" if still else ""
 
 
 def filtered(courses: Matrix, numerator: Vector, denominator: Vector, record: Record) -> Matrix:

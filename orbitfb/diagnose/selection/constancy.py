@@ -34,13 +34,14 @@ def varying(accepted: Sequence[Candidate], space: Workspace) -> list[FreeCourse]
         For every cause that adds something known, and every length of windows; and for every one
         that is random, of its spectrum.
     """
-    found = []
-    weighed = Weighed.of(space) if accepted else None
+    if not accepted:
+        return []
+    found, weighed = list[FreeCourse](), Weighed.of(space)
     for one in accepted:
-        if weighed is not None and (one.walk is not None or one.white is not None):
+        if one.walk is not None or one.white is not None:
             found += _by_band(one, weighed)
         made = _made(one, space)
-        if weighed is None or made is None:
+        if made is None:
             continue
         several = [count for count in _WINDOWS if len(made) >= count * _LEAST_ROWS]
         cost = VALUE_COST + float(np.log(max(len(several), 1)))

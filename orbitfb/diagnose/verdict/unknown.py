@@ -93,7 +93,7 @@ def _of_free(first: FreeCourse, what: str) -> str:
             "another law."
         )
     if first.target == "spectrum":
-        return f"What was named{at} has not the spectrum of its law: it is another random one."
+        return f"What was named{at} does not have the spectrum of its law: it is another one."
     if first.target == "source":
         return (
             f"{what} is like kicks at {first.names[0]}, whose course in time is not in the library."

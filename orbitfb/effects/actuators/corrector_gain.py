@@ -3,7 +3,7 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.actuating import ColumnsEffect, stands_still
+from orbitfb.effects.actuating import ColumnsEffect, lacks_motion
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import CALIBRATION_ERROR, Parameter, Values
 from orbitfb.physics.effect import Effect
@@ -61,8 +61,7 @@ class CorrectorGain(ActuatorKind):
 
     def lacks(self, setpoints: Matrix, values: Values, record: Record) -> str:
         """A current of which nothing is left is off."""
-        still = stands_still(setpoints, self.drive(setpoints, values, record))
-        return "the current never moves" if still else ""
+        return lacks_motion(setpoints, self.drive(setpoints, values, record))
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -95,10 +95,9 @@ class CorrectorHysteresis(SteppingKind):
 
     def lacks(self, setpoints: Matrix, values: Values, record: Record) -> str:
         """Within a play that is too wide for its setpoints a field has a gain."""
-        half = 0.5 * values["width"]
-        drags = np.ptp(setpoints, axis=0)
-        crossed = float(np.maximum(drags - 2.0 * half, 0.0).sum())
-        wide = crossed < (1.0 - _HALF) * float(drags.sum())
+        reach = np.ptp(setpoints, axis=0)
+        dragged = np.maximum(reach - values["width"], 0.0)
+        wide = float(dragged.sum()) < (1.0 - _HALF) * float(reach.sum())
         return "the setpoint never crosses the whole play" if wide else ""
 
     def fitted(self, record: Record) -> tuple[Parameter, ...]:

@@ -26,9 +26,8 @@ _SETTLED = ((0.5, 1.0), (0.6, 1.0), (0.8, 1.0), (1.0, 1.0), (0.75, 0.85), (0.77,
 does."""
 
 _OVERSHOT = 0.01
-"""Of a step, as the rows show it: one that overshoots less cannot be told from a lag. By hand."""
-_SEEN = 200
-"""Rows in which it would."""
+"""Share of a step by which the rows overshoot it at least [1]: what overshoots less cannot be told
+from a lag. By hand."""
 
 
 class CorrectorResonance(ActuatorKind):
@@ -84,7 +83,7 @@ class CorrectorResonance(ActuatorKind):
         numerator, denominator = _filter(
             values["frequency"], values["damping"], record.layout.period
         )
-        step = np.asarray(lfilter(numerator, denominator, np.ones(_SEEN)))
+        step = np.asarray(lfilter(numerator, denominator, np.ones(len(setpoints))))
         return "" if step.max() > 1.0 + _OVERSHOT else "nothing overshoots"
 
     def grid(self, record: Record) -> tuple[Values, ...]:

@@ -5,9 +5,9 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.effects.actuating import (
     ColumnsEffect,
+    lacks_motion,
     ladder,
     largest_setpoint,
-    stands_still,
     widest_range,
 )
 from orbitfb.effects.device_kinds import ActuatorKind
@@ -122,8 +122,7 @@ class CorrectorSaturation(ActuatorKind):
 
     def lacks(self, setpoints: Matrix, values: Values, record: Record) -> str:
         """Between limits with no room it is stuck, or tripped."""
-        still = stands_still(setpoints, self.drive(setpoints, values, record))
-        return "the current never moves" if still else ""
+        return lacks_motion(setpoints, self.drive(setpoints, values, record))
 
     def fitted(self, record: Record) -> tuple[Parameter, ...]:
         """Fit limit and rounding; on which side it is, is found by the scan."""

@@ -10,9 +10,9 @@ from orbitfb.effects.actuating import (
     Arithmetic,
     ColumnsEffect,
     followed,
+    lacks_motion,
     ladder,
     largest_change,
-    stands_still,
 )
 from orbitfb.effects.device_kinds import SteppingKind
 from orbitfb.effects.kinds import Parameter, Values
@@ -62,8 +62,7 @@ class CorrectorSlew(SteppingKind):
 
     def lacks(self, setpoints: Matrix, values: Values, record: Record) -> str:
         """A current that goes nowhere is stuck."""
-        still = stands_still(setpoints, self.drive(setpoints, values, record))
-        return "the current never moves" if still else ""
+        return lacks_motion(setpoints, self.drive(setpoints, values, record))
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """24 rates up to that of the largest step of the record."""

@@ -16,6 +16,9 @@ from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
 _LONGEST = 20
+_SHORT = (0.001, 0.003, 0.008, 0.02, 0.05, 0.1)
+"""Delays of less than a quarter [ticks], each at most three times the one before: a delay of more
+than twice the true one is less likely than none."""
 
 
 class LoopDelay(ActuatorKind):
@@ -65,16 +68,7 @@ class LoopDelay(ActuatorKind):
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """Quarters up to two ticks, halves up to six, and short delays from 0.1 % of a tick."""
-        steps = [
-            0.001,
-            0.003,
-            0.008,
-            0.02,
-            0.05,
-            0.1,
-            *np.arange(0.25, 2.0, 0.25),
-            *np.arange(2.0, 6.1, 0.5),
-        ]
+        steps = (*_SHORT, *np.arange(0.25, 2.0, 0.25), *np.arange(2.0, 6.1, 0.5))
         return ladder("ticks", {}, steps)
 
     def simulate(

@@ -25,6 +25,7 @@ WANTED = 0.01 * np.cumsum(np.random.default_rng(3).standard_normal((400, 180)), 
         ("corrector-hysteresis", {"width": 0.03, "share": 0.5}, ""),
         ("corrector-hysteresis", {"width": 0.5, "share": 0.1}, "never crosses"),
         ("corrector-resonance", {"frequency": 2.0, "damping": 0.3}, ""),
+        ("corrector-resonance", {"frequency": 0.02, "damping": 0.3}, ""),  # overshoots in row 262
         ("corrector-resonance", {"frequency": 2.0, "damping": 0.98}, "nothing overshoots"),
         ("corrector-resonance", {"frequency": 1e5, "damping": 0.98}, ""),
         ("corrector-stuck", {"left": 1.0}, ""),

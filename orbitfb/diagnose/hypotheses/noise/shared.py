@@ -8,7 +8,7 @@ from orbitfb.estimation.priors import VALUE_COST
 
 _ALIKE = 5.0
 """Standard deviations from which a BPM is told beside the two that have most in common. By hand:
-normal noise of 360 BPMs reaches it in one record of fifty thousand."""
+of 360 BPMs one is told by chance in one record of 2,400."""
 
 
 def shared_noise(space: Workspace) -> FreeCourse:

@@ -216,7 +216,8 @@ def _from(
         # One that has no size is sought of any: healthy errors stand in for a part of it.
         size = worth if scales(kind) else any_size
         sets = [best_set(pull, information, law.groups, size, alone=not kind.collective)]
-        if len(begin.places) == 1 != len(sets[0][1]):
+        _, several = sets[0]
+        if len(begin.places) == 1 and len(several) != 1:
             # Errors of its neighbours hide that a single one is enough.
             sets.append((begin.evidence + late, begin.places))
         for gain, places in sets:
